@@ -6,8 +6,8 @@ the middle is taken out, so row k of every output belongs to row k of the input.
 save at fixed absolute positions) runs live and offline: results do not depend, to the last bit, on how the input was
 cut into chunks. A row is valid if no missing (NaN) sample lies within the support of its filter.
 
-A law sees the whole displacement. Below the band an accelerometer shows none of it; a sensor of displacement does, down
-to where its offset and drift begin (`below_band_gain`), and that is one more output.
+A law acts on the whole displacement. Below the band an accelerometer measures none of it. A displacement sensor does,
+down to where its offset and drift begin (`below_band_gain`); that is one more output.
 
 Because integration is done before any windowing, m a + c v + k x = F holds sample by sample for the band-limited
 force, and a window applied later commutes with it: no leakage error in the coefficients.
@@ -86,7 +86,7 @@ def filter_edges_hz(rate_hz: float, band: tuple[float, float]) -> tuple[float, f
 
 
 def _step(u: Array) -> Array:
-    """Smooth step from 0 (1e-5) at u = 0 to 1 at u = 1: its transform decays like a Gaussian, so few taps do."""
+    """Smooth step from 0 (1e-5) at u = 0 to 1 at u = 1; its transform decays like a Gaussian, so few taps suffice."""
     from scipy.special import erf
 
     return np.asarray(0.5 + 0.5 * erf(6.0 * (u - 0.5)), dtype=np.float64)
@@ -100,20 +100,22 @@ def passband(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
 
 
 def below_band_gain(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
-    """The real gain from what a sensor of displacement measures to what laws see of it below the band."""
+    """(f,) real gain of the displacement below the band that a displacement sensor gives."""
     steady = np.exp(-0.5 * (f_hz / (DRIFT_OVER_LOW_EDGE * band[0])) ** 2)
     return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
 
 
 def unmeasured_gain(f_hz: Array, rate_hz: float, band: tuple[float, float], kind: str) -> Array:
-    """The real gain from the displacement to what a sensor of this kind leaves out of it."""
+    """(f,) real gain from the displacement to the part that a sensor of this kind does not measure."""
     beside = below_band_gain(f_hz, rate_hz, band) if kind == "displacement" else 0.0
     return np.asarray(1.0 - passband(f_hz, rate_hz, band) - beside)
 
 
 def half_length(rate_hz: float, band: tuple[float, float]) -> int:
-    """Half the support of the filters, in samples: what is lost at each end of a record and beside each gap. With the
-    extra output of BandLimit all are RINGS times as long."""
+    """Half the support of the filters, rows: the loss at each end of a record and beside each gap.
+
+    With the extra output of BandLimit all filters are RESONANT_FILTER_LENGTHS times as long.
+    """
     stop1, pass1, pass2, stop2 = filter_edges_hz(rate_hz, band)
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
 
@@ -140,7 +142,7 @@ def _frequencies(half: int, rate_hz: float) -> Array:
 
 
 def _nearest(wanted: Complexes, half: int) -> Array:
-    """(2 half + 1,) taps whose response, on half a grid of frequencies, is near to what is wanted."""
+    """(2 half + 1,) taps whose response is close to `wanted`, given at the frequencies of an rfft."""
     size = 2 * (wanted.size - 1)
     target = wanted.copy()
     window = np.kaiser(2 * half + 1, 3.0)
@@ -159,14 +161,12 @@ def _power(exponent: int) -> Callable[[Array], Complexes]:
 def _held(
     response: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], half: int
 ) -> Callable[[Array], Complexes]:
-    """The response as filters of `half` samples to either side can hold it.
+    """The response, changed so that filters of `half` rows to either side can realise it.
 
-    A sharp resonance, that of a disc on its shaft, rings longer than the filter is; what is cut off would be spread
-    over all of the band, a few per cent of a bearing's stiffness, as noise at the bearing's resonance. Beyond the band
-    the response therefore goes on along straight lines, and a resonance inside of it is let ring out under a window.
-    That is as flat where the ringing begins as it may be without an edge at its end. Such a filter is RINGS times as
-    long as the others: at the distance that fits leave out it is 0.07 % off, where one as long as they was 15 %.
-    Of a resonance at the lower edge, which no straight line goes on from, the lines begin where those fits do.
+    A sharp resonance, that of a disc on its shaft, rings longer than the filter. Cutting it off would spread an error
+    over the whole band. The response is therefore continued linearly beyond the band, and a resonance inside the band
+    decays under a window that is flat at first. The error is below 0.1 % in the bins that a fit uses. At a
+    resonance near the lower edge the linear part begins beyond these bins.
     """
     low, high = band
     width = 2 * RESONANT_FILTER_LENGTHS * rate_hz / half  # left out on either side of it: balance.shaft_notch
@@ -196,7 +196,7 @@ def _held(
 
 
 def _block_size(half: int, rate_hz: float) -> int:
-    """Transform size: four times the half length, but with at most 0.4 s of new rows, and a product of 2, 3 and 5."""
+    """Size of the transform: four times `half`, with at most 0.4 s of new rows, and a product of 2, 3 and 5."""
     size = min(1 << int(np.ceil(np.log2(4 * half + 1))), 2 * half + max(1, int(0.4 * rate_hz)))
     while True:
         rest = size

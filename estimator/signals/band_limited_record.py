@@ -1,5 +1,4 @@
-"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces
-in double precision."""
+"""Band limit of a whole record, block by block on demand, bit for bit equal to a stream of its pieces."""
 
 from __future__ import annotations
 
@@ -50,7 +49,7 @@ class BandLimitedRecord(BandLimit):
         return len(self.outputs) * self._y.nbytes > MAX_HELD_BYTES
 
     def _filtered(self, b: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
-        """(outputs, channels, hop) of the rows b hop ... of the grid that a stream has."""
+        """(outputs, channels, hop) filtered rows from b hop on, on the block grid of a stream."""
         first = b * self._hop - self.half
         lo, hi = max(first, 0), min(first + self._size, self.rows)
         y = self._y[lo:hi].T
@@ -71,7 +70,7 @@ class BandLimitedRecord(BandLimit):
         return out
 
     def whole(self, dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
-        """All of it, held."""
+        """The motion of the whole record in memory."""
         out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in self.outputs]
 
         def fill(b: int) -> None:
@@ -84,7 +83,7 @@ class BandLimitedRecord(BandLimit):
 
     @cached_property
     def rms(self) -> Array:
-        """(outputs, channels) of the valid rows."""
+        """(outputs, channels) rms of the valid rows."""
 
         def squares(b: int) -> Array:
             valid = self.valid[b * self._hop : (b + 1) * self._hop]

@@ -1,4 +1,4 @@
-"""Cross-spectral Gram matrices of the columns, by frequency cell.
+"""Blocks of a record, their spectra, and cross-spectral Gram matrices by frequency cell.
 
 Blocks of `size` rows overlap by half under a window whose squares add up to 1, so the blocks are a tight frame:
 the sum over all bins is, by Parseval, exactly the sum over time; with the bins of the band it is the energy of the
@@ -34,7 +34,11 @@ def taper(size: int) -> Array:
 
 @dataclass(frozen=True)
 class BlockLayout:
-    """Blocks, bins and cells. bins : (b,) indices into the rfft, ascending; starts : (cells,) first bin of each."""
+    """Blocks, bins and frequency cells.
+
+    rate_hz : rows per second. size : rows of a block. bins : (b,) indices into the rfft, ascending. starts : (cells,)
+    first bin of each cell. longer : factor on the usual length of the blocks.
+    """
 
     rate_hz: float
     size: int
@@ -71,7 +75,10 @@ class BlockLayout:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyNodes:
-    """Frequencies at which the Jacobian is evaluated: each stands for `weight` neighbouring bins of one cell."""
+    """Frequencies at which the Jacobian is evaluated, each for `weight` neighbouring bins of one cell.
+
+    f_hz : (nodes,) Hz. weight : (nodes,) bins. cell : (nodes,) number of the cell.
+    """
 
     f_hz: Array
     weight: Array
@@ -85,7 +92,7 @@ class FrequencyNodes:
 
 
 def frequency_nodes(grid: BlockLayout, peaks_hz: Array | None = None, widths_hz: Array | None = None) -> FrequencyNodes:
-    """Every bin; or, with the resonances and their half-power widths, few where the response is smooth.
+    """Frequencies for the Jacobian: every bin, or few where the response is smooth between resonances.
 
     Nodes are no farther apart than a sixth of the width at a resonance and a fifteenth of the distance from it: the
     midpoint rule is then good to 1e-3 of a standard deviation of the parameters (tested).
@@ -112,7 +119,7 @@ def block_layout(
     cells: int = FREQUENCY_CELLS,
     longer: int = 1,
 ) -> BlockLayout:
-    """Blocks long enough for the lower band edge; bins of the band without the notches (f1, f2) in Hz.
+    """Layout of blocks long enough for the lower band edge, with the bins of the band outside of notches (f1, f2), Hz.
 
     longer : factor on the length of the blocks, a power of 2, for narrower bins.
 
@@ -138,7 +145,7 @@ def block_layout(
 
 
 def valid_blocks(valid: NDArray[np.bool_], grid: BlockLayout) -> NDArray[np.intp]:
-    """Numbers of the blocks (block b starts at row b * hop) that hold no invalid row."""
+    """Numbers of the blocks without an invalid row; block b starts at row b * hop."""
     if valid.size < grid.size:
         return np.empty(0, np.intp)
     bad = np.flatnonzero(~valid)

@@ -1,9 +1,9 @@
-"""What a faulty sensor makes of the motion, as a response: measured over true, by frequency.
+"""Responses of sensors and of the recorder's filter, measured over true by frequency, and their correction.
 
-They are undone in the record before anything is fitted. Beside a measured force they can be told (transfer_faults.py).
-Without one, a gain and a delay are undone as far as the rig file gives them; a resonance is a shape of the spectrum of
-the force, and undone by the numbers that this shows: with its phase left in, what is answered through
-a stiff shaft is not the rotor's (a shaft half as stiff as the bearings, a resonance at four times theirs: c 9 % off).
+The responses that the model knows are undone in the record before anything is fitted. A gain and a delay are
+identifiable together with a measured force only; otherwise they are undone as the rig file gives them. A sensor
+resonance is found as a spectral shape of the excitation and undone with its phase, as the phase matters on a stiff
+shaft.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ def fault_response(name: str, values: Mapping[str, float | None], w: Array) -> C
 
 
 def channel_response(model: Model, place: str, w: Array) -> Complexes:
-    """(f,) of all that is undone in the motion channel at a place: faults of the model and, as far as the band goes,
-    the recorder's filter."""
+    """(f,) response that is undone in the motion channel at a place, at w (f,) rad/s.
+
+    It has the sensor faults of the model and, up to the upper band edge, the recorder's filter.
+    """
     out = _faults(model, place, w)
     own = anti_alias_filter(model, place)
     return out if own is None else out * own.response(np.minimum(w / (2 * np.pi), model.band[1]))
 
 
 def anti_alias_filter(model: Model, place: str) -> Filter | None:
-    """The recorder's filter that is undone at a place, in the channel of a measured force, too, which went through it:
-    the path between the two is as it was, and laws have the motion as it is."""
+    """The recorder's filter that is undone at a place, in the channels of motion and of force; None without."""
     return (model.roll_off or {}).get(place)
 
 
 def folded_images(model: Model, place: str, kind: str, f_hz: Array) -> Array:
-    """(images, f) PSD of the acceleration that the recorder at a place folds back from each image, over that of a free
-    mass, once the responses are undone: the sensor had its own at the image."""
+    """(images, f) PSD of the acceleration aliased from each image at a place, over that of a free mass, corrected."""
     own = anti_alias_filter(model, place)
     if own is None or own.nepers:
         return np.zeros((0, f_hz.size))
@@ -69,8 +69,10 @@ def folded_images(model: Model, place: str, kind: str, f_hz: Array) -> Array:
 
 
 def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> Complexes:
-    """(2, f) what the sensor at a place lets through of the acceleration that is folded to f from below and from beyond
-    the rate, the first backwards, once its response is undone: -w / w' and w / w'' of a sensor of velocity."""
+    """(2, f) response of the corrected sensor to acceleration aliased to f from below and from beyond the rate.
+
+    The first is conjugate, as its frequency axis is reversed; a velocity sensor has -w / w' and w / w''.
+    """
     kind = next(c.kind for c in model.channels if c.place == place and c.kind in MOTION)
 
     def through(f_hz: Array) -> Complexes:
@@ -82,14 +84,14 @@ def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> C
 
 
 def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
-    """Numbers of a shape of the spectrum at a place, an effect of SHAPES, as the model has it."""
+    """Parameters of a spectral shape at a place in the model; None without. effect : of SHAPE_PARAMETERS."""
     numbers = [_numbers(use, model, place) for use in model.effects if use.name == effect]
     a, b = (numbers[0].get(name) if numbers else None for name in SHAPE_PARAMETERS[effect])
     return (a, b) if a and b else None
 
 
 def _faults(model: Model, place: str, w: Array) -> Complexes:
-    """Of the sensor, of the shape of w."""
+    """(f,) response of the sensor faults at a place, at w (f,) rad/s."""
     out = np.ones(w.shape, complex)
     for use in model.effects:
         if use.name not in RESPONSE_EFFECTS:
@@ -99,14 +101,14 @@ def _faults(model: Model, place: str, w: Array) -> Complexes:
 
 
 def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None]:
-    """What a use says of the motion channel at a place; nothing if it is of another."""
+    """Values of an effect's use for the motion channel at a place; empty if it is for another place."""
     channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION}
     own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
     return {name: setting.value for name, setting in own[0].items()} if own else {}
 
 
 def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:
-    """The record (n, channels), SI, with the responses of its sensors that the model knows of taken back."""
+    """The record (n, channels), SI, with the channel responses that the model knows undone."""
     if not model.roll_off and not any(use.name in RESPONSE_EFFECTS for use in model.effects):
         return y
     f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)

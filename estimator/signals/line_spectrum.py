@@ -1,4 +1,4 @@
-"""The spectrum of a whole record, that lines are sought in: by time, or by the shaft's angle where a tacho tells it."""
+"""Spectrum of a whole record for the detection of lines, against time or against the measured shaft angle."""
 
 from __future__ import annotations
 
@@ -26,33 +26,38 @@ MIN_LINE_POWER_SHARE = 0.45  # of the power above the noise that has the shape o
 
 @dataclass(frozen=True, slots=True)
 class LineSpectrum:
-    """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin in the unit of the
-    sensor; noise : mean |Y|^2 of the surroundings. Single precision rounds by a thousandth of that."""
+    """Spectrum of a whole record under a Hann window, in single precision (error 1e-3 of the local noise).
+
+    f_hz : (bins,) Hz. Y : (places, bins) amplitude of a line at the bin, in the unit of the sensor.
+    noise : (places, bins) local mean of |Y|^2. seconds : length of the record.
+    windowed : (places, n) samples under the window. kinds : (places,) kinds of the sensors. rate_hz : rows per second.
+    model : of the rig. phase : (n,) rad, shaft angle measured by a tacho; None without one.
+    """
 
     f_hz: Array
     Y: NDArray[np.complex64]
     noise: Array
     seconds: float
-    windowed: NDArray[np.float32]  # (places, n) under the window
-    kinds: tuple[str, ...]  # (places,) of the sensors
+    windowed: NDArray[np.float32]
+    kinds: tuple[str, ...]
     rate_hz: float
     model: Model
-    phase: Array | None  # (n,) rad, of the shaft, where a tacho measured it
+    phase: Array | None
 
     @property
     def wander(self) -> float:
-        """By how much of itself the measured speed moves either way."""
+        """Relative variation of the measured speed to either side; 0 without a tacho."""
         if self.phase is None:
             return 0.0
         second = np.diff(self.phase[:: int(self.rate_hz)])
         return float(0.5 * np.ptp(second) / second.mean())
 
     def width(self, hz: float) -> float:
-        """Hz on either side of a line that belong to it."""
+        """Half-width of a line, Hz."""
         return 3.0 / self.seconds + self.wander * hz
 
     def at_order(self, order: int, hz: float) -> tuple[Complexes, Array]:
-        """The same as `at` of an order of the shaft, which turns at hz in the mean."""
+        """(places,) complex amplitudes of acceleration at a shaft order, and their noise. hz : mean speed."""
         if self.phase is None:
             return self.at(order * hz)
         turn = np.exp(-1j * order * self.phase).astype(np.complex64)
@@ -60,7 +65,7 @@ class LineSpectrum:
         return self._acceleration(total, order * hz)
 
     def at(self, hz: float) -> tuple[Complexes, Array]:
-        """(places,) complex amplitudes of acceleration (phase at t = 0) at any frequency, and their noise."""
+        """(places,) complex amplitudes of acceleration at a frequency (phase at t = 0), and their noise."""
         P, n = self.windowed.shape
         w = -2j * np.pi * hz / self.rate_hz
         step = 2048
@@ -83,14 +88,16 @@ class LineSpectrum:
         return np.asarray(to_acceleration(self.kinds, 2 * np.pi * self.f_hz[bins]).T * self.Y[:, bins])
 
     def about(self, hz: float) -> slice:
-        """The bins that the noise at a frequency is told by."""
+        """Bins that give the noise at a frequency."""
         k = round(hz * self.seconds)
         first = max(k - NOISE_REACH_BINS, int(MIN_FORCE_HZ * self.seconds), 1)
         return slice(first, max(k + NOISE_REACH_BINS, first + NOISE_REACH_BINS) + 1, NOISE_STRIDE_BINS)
 
     def steady(self, hz: float) -> bool:
-        """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
-        sharp resonance under random forces (of a disc, say, whose mass is not quite known) wanders over its width."""
+        """Whether the peak at a frequency has the shape of a line in phase and power, at the place where it is largest.
+
+        A sharp resonance under random forces has not.
+        """
         k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
         Y = self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]
         i = int(np.argmax(np.abs(Y[:, LINE_REACH_BINS]) ** 2 / self.noise[:, k]))
@@ -101,8 +108,10 @@ class LineSpectrum:
         return bool(tone > MIN_LINE_POWER_SHARE * max(np.vdot(Y, Y).real - noise, tone))
 
     def over_neighbours(self, hz: float) -> float:
-        """Power at a frequency over that of the bins about it, where it is largest: the surroundings of a resonance as
-        narrow as theirs are no measure of what chance makes of it."""
+        """Power at a frequency over that of the nearest bins, at the place where it is largest.
+
+        Near a narrow resonance the local noise of `noise` is no measure of chance.
+        """
         k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
         near = np.abs(self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]) ** 2
         own = slice(LINE_REACH_BINS - 2, LINE_REACH_BINS + 3)
@@ -167,7 +176,7 @@ def _smooth(z: NDArray[Any]) -> NDArray[Any]:
 
 
 def order_spectrum(s: LineSpectrum) -> LineSpectrum:
-    """The same against the shaft's angle, in Hz at its mean speed: orders are lines there, however it turns."""
+    """The spectrum against the shaft angle, in Hz at the mean speed: shaft orders are lines at any speed."""
     if s.phase is None:
         return s
     row = np.arange(s.phase.size)
@@ -192,9 +201,10 @@ def _spectrum(
 
 
 def local_noise(power: NDArray[np.floating], reach: int) -> Array:
-    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it.
+    """(bins,) local noise: mean of the bins up to `reach` away, by the median of every fourth, so without lines.
 
-    Near 0 of those up to half the way there: what is heard as a force rises as f^-4 to LEAST_HZ, and is 0 below."""
+    The reach is halved towards 0 Hz, as sensor noise referred to force rises as f^-4 down to MIN_FORCE_HZ.
+    """
     from scipy.ndimage import median_filter
 
     def local(power: NDArray[np.floating], reach: int, thin: int) -> Array:

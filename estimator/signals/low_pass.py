@@ -8,7 +8,7 @@ from estimator.arrays import Array
 
 
 def kaiser_low_pass(taps: int, cutoff: float, beta: float) -> Array:
-    """(taps,) with unit gain at 0; cutoff over the Nyquist frequency. As scipy.signal.firwin."""
+    """(taps,) low-pass filter under a Kaiser window, gain 1 at 0 Hz. cutoff : over the Nyquist frequency."""
     k = np.arange(taps) - 0.5 * (taps - 1)
     h = np.sinc(cutoff * k) * np.kaiser(taps, beta)
     return np.asarray(h / h.sum())

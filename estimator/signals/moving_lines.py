@@ -1,10 +1,10 @@
-"""Lines that move: tones of the force that the likelihood leaves out block by block, wherever they are now.
+"""Weights that leave moving lines out of the likelihood, block by block.
 
-A run-up carries the orders of the shaft through the band. A tone is seen in the inferred force of a block, summed over
-the places: a bin that stands out from those four to ten bins away on both sides, which no resonance does. Weak ones are
-seen in the average over the last blocks: by frequency, or by order of the shaft where a tacho gives its speed, so that
-a line stands still in it while the speed changes. The bins of a line are left out; those beside it count for them, so
-that the sums stay those of a smooth spectrum and the likelihood, with its Jacobian, needs to know nothing.
+A run-up moves the shaft orders through the band. A line is a bin of the residual force of a block, summed over the
+places, that exceeds the bins four to ten bins away on both sides; no resonance does so. Weak lines are found in a
+running average over the last blocks: by frequency, or by shaft order where a tacho gives the speed, so that a line does
+not move while the speed changes. The bins of a line get weight 0 and its neighbours count for them, so the sums remain
+those of a smooth spectrum, and the likelihood and its Jacobian stay unchanged.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ INDEPENDENT_SHARE = 0.5  # of neighbouring bins under the window, and of neighbo
 
 @cache
 def _limit(bins: int, places: int, blocks: float) -> float:
-    """Ratio of a bin to the larger of its two sides that noise reaches in one block of `1 / FALSE_ALARM`."""
+    """Ratio of a bin to the larger of its two sides that noise exceeds in FALSE_ALARMS_PER_BLOCK of the blocks."""
     from scipy.stats import f
 
     own = 2.0 * places * max(1.0, 1.5 * INDEPENDENT_SHARE * blocks)
@@ -35,7 +35,7 @@ def _limit(bins: int, places: int, blocks: float) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
-    """Fill out (n,) with what `line_ratio` gives; the sides are running sums, mirrored at the ends."""
+    """Fill out (n,) with the result of `line_ratio`; the sides are running sums, mirrored at the ends."""
     n, reach = power.size, FAR_BINS - NEAR_BINS + 1
     sums = np.empty(n + 2 * FAR_BINS + 1)
     sums[0] = 0.0
@@ -49,14 +49,14 @@ def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
 
 
 def line_ratio(power: Array, places: int, blocks: float) -> Array:
-    """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
+    """(bins,) ratio of each bin to its surroundings if it is a line, else 0. power : mean over `blocks` blocks."""
     out = np.empty(power.size)
     _stand_out(power, _limit(power.size, places, round(blocks, 1)), out)
     return out
 
 
 def line_bins(ratio: Array) -> NDArray[np.bool_]:
-    """(bins,) the bins to leave out about those that stand out: as far as the window carries such a line."""
+    """(bins,) whether a bin is left out: lines, and their neighbours as far as the window leaks."""
     out = np.zeros(ratio.size, bool)
     for k in np.flatnonzero(ratio):
         half = 3 if ratio[k] < 300.0 else 4 if ratio[k] < 1e5 else 10
@@ -65,7 +65,7 @@ def line_bins(ratio: Array) -> NDArray[np.bool_]:
 
 
 def bin_weights(out: NDArray[np.bool_]) -> Array:
-    """(bins,) 0 for what is left out; what lies beside it on both sides counts for it, the sum stays."""
+    """(bins,) weights: 0 for bins left out, more for the neighbours on both sides, so that the sum stays."""
     w = np.ones(out.size)
     w[out] = 0.0
     kept = np.flatnonzero(~out)
@@ -80,7 +80,7 @@ def bin_weights(out: NDArray[np.bool_]) -> Array:
 
 
 class MovingLines:
-    """What to leave out of the next block. orders : the average is by order of the shaft, not by frequency."""
+    """Weights of the bins of the next block. orders : whether the average is by shaft order, not by frequency."""
 
     def __init__(self, f_hz: Array, orders: bool = False) -> None:
         self._f_hz, self._orders = f_hz, orders
@@ -89,7 +89,7 @@ class MovingLines:
         self._speed_hz = 0.0  # that the axis of the average is scaled to
 
     def restart(self) -> None:
-        """Forget the average: the blocks to come do not follow on."""
+        """Forget the average, as after a gap."""
         self._mean[:] = 0.0
         self._blocks = 0.0
 

@@ -1,7 +1,4 @@
-"""Shaft angle and speed from a tacho channel: one pulse a turn, its rising edge at angle 0.
-
-The shaft angle of a stream: from a tacho channel as it arrives, or from the speed that the rig file gives.
-"""
+"""Shaft angle from a tacho channel (one pulse a turn, its rising edge at angle 0), or from the speed of the rig."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from estimator.model.rig import Model
 
 
 class ShaftAngle:
-    """`push` the rows as they come, `drop` those no longer needed, ask for the `angle` along rows that are held."""
+    """Shaft angle of a stream: `push` rows, `drop` old rows, ask for the `angle` along rows that are held."""
 
     def __init__(self, model: Model, rate_hz: float) -> None:
         self._column = model.tacho
@@ -36,12 +33,12 @@ class ShaftAngle:
             self._pulses.append(block[:, self._column].copy())
 
     def drop(self, before: int) -> None:
-        """Rows under `before` are not asked for any more."""
+        """Forget rows under `before`."""
         while self._pulses and self._first + len(self._pulses[0]) <= before:
             self._first += len(self._pulses.pop(0))
 
     def angle(self, start: int, stop: int) -> Array | None:
-        """(stop - start,) rad along rows that were pushed and not dropped; None while the tacho tells no speed."""
+        """(stop - start,) rad along rows that are held; None while the tacho gives no speed."""
         if self._column is None:
             return np.asarray(self._given * np.arange(start, stop), dtype=np.float64)
         pulses = np.concatenate(self._pulses) if self._pulses else np.empty(0)
@@ -64,13 +61,33 @@ SHORT_OVER_PERIOD = 0.5  # a shorter distance between pulses is no turn (ringing
 
 
 def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
-    """(n,) rad, the shaft angle along y (n, channels of the model); None without a tacho channel. Raises DataError."""
+    """Shaft angle along a record, from its tacho channel.
+
+    Parameters
+    ----------
+    model : Model
+        The rig; ``model.tacho`` is the column of the tacho channel.
+    y : (n, channels) float64
+        Samples, columns in the order of ``model.channels``.
+    rate_hz : float
+        Sampling rate, Hz.
+
+    Returns
+    -------
+    (n,) float64 or None
+        Shaft angle, rad; None without a tacho channel.
+
+    Raises
+    ------
+    DataError
+        The tacho channel has fewer than four pulses.
+    """
     column = model.tacho
     return None if column is None else shaft_angle(y[:, column], rate_hz, model.channels[column].name)
 
 
 def with_measured_speed(model: Model, y: Array, rate_hz: float) -> Model:
-    """The model with the mean speed that its tacho measured along y, whatever its rig file says. Raises DataError."""
+    """The model with the mean speed that its tacho measured along y (n, channels). Raises DataError."""
     phase = measured_phase(model, y, rate_hz)
     if phase is None or len(phase) < 2:
         return model
@@ -80,11 +97,10 @@ def with_measured_speed(model: Model, y: Array, rate_hz: float) -> Model:
 
 def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
     """(n,) rad, rising through a multiple of 2 pi at each pulse, a cubic spline between pulses, at the last known speed
-    beyond them. It begins within half a turn of 0: of an order that is not whole the phase depends on which pulse is 0.
+    beyond them. It begins within half a turn of 0: the phase of a fractional order depends on which pulse is 0.
 
-    On straight lines the angle is up to alpha T^2 / 8 behind within a turn of T while the speed grows by alpha, and the
-    hundredth harmonic of strikes is smeared: with 3 % of wander at 0.5, 2 and 4 Hz strikes of 0.05 rad came out 9, 25
-    and 43 % weak.
+    The spline matters at high orders: linear interpolation lags by up to alpha T^2 / 8 within a turn of period T under
+    an angular acceleration alpha.
 
     pulses : (n,) any height and width, NaN where a sample is missing. Raises DataError with fewer than four pulses.
     """
@@ -106,7 +122,7 @@ def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
 
 
 def _between(edges: Array, angle: Array, n: Array) -> Array:
-    """(n,) turns at rows n; straight lines where pulses are so uneven that a spline would turn back."""
+    """(n,) turns at rows n; linear if the pulses are so uneven that a spline would turn back."""
     from scipy.interpolate import CubicSpline
 
     inner = np.clip(n, edges[0], edges[-1])
@@ -115,7 +131,7 @@ def _between(edges: Array, angle: Array, n: Array) -> Array:
 
 
 def rising_edges(pulses: Array) -> Array:
-    """(k,) rows, with fractions, at which the signal rises through its middle."""
+    """(k,) fractional rows at which the signal rises through its middle."""
     there = np.flatnonzero(np.isfinite(pulses))
     if there.size < 2:
         return np.empty(0)
@@ -136,7 +152,7 @@ def rising_edges(pulses: Array) -> Array:
 
 
 def _usual(distance: Array, around: int = 9) -> Array:
-    """(k,) the median of the distances around each: the turn's length there, also while the speed changes."""
+    """(k,) running median of the distances: the local length of a turn, also while the speed changes."""
     half = around // 2
     padded = np.pad(distance, half, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, around), axis=1))

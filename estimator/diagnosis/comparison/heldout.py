@@ -70,7 +70,9 @@ def heldout_nll(point: WorkingPoint) -> float:
         for f in range(TIME_FOLDS):
             rest = np.array([k for k in range(TIME_FOLDS) if k != f])
             total -= problem.likelihood(problem.fit(rest), np.array([f]))
-    total -= point.data.blocks * np.log(point.data.sharpened).sum()  # of what was measured, not of what was undone
+    total -= (
+        point.data.blocks * np.log(point.data.undone_noise_gain).sum()
+    )  # of what was measured, not of what was undone
     for i, _ in point.data.shared:  # each of the two was given the other: what they share has counted twice
         total -= point.gram.n[i].sum() * np.log(point.fit.S[i] / point.S[i])
     return float(total) / (point.data.blocks * point.data.block)

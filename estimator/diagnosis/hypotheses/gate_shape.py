@@ -106,13 +106,15 @@ def smooth_gains_nats(point: WorkingPoint, effect: str, places: set[int]) -> dic
 def polynomial_power(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data
-    z = data.calmed(i) if state == "x" else data.v[i]
+    z = data.denoised_displacement(i) if state == "x" else data.v[i]
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = (z / rms).astype(np.float32)
     here, which = point.fluctuations[i], 0 if state == "x" else 1
     memory: dict[int, dict[int, Complexes]] = {}
     if here is not None:
-        for order, _, below in _hermite((here.data.v[i] if which else here.data.calmed(i)) / rms, orders):
+        for order, _, below in _hermite(
+            (here.data.v[i] if which else here.data.denoised_displacement(i)) / rms, orders
+        ):
             tangents = np.zeros((2, below.size), np.float32)
             tangents[which] = order * below / rms
             memory[order] = {i: own_response(-here.of(tangents), i, data)}
@@ -120,8 +122,8 @@ def polynomial_power(point: WorkingPoint, i: int, state: str, orders: tuple[int,
     def term(order: int, polynomial: Series, below: Series) -> Regressor | None:
         slopes = np.zeros((len(data.places),) * 2 + (2,))
         slopes[i, i, which] = order * float(np.mean(below, dtype=np.float64)) / rms
-        if state == "x" and data.calm is not None:  # along the whole displacement: calm.as_seen
-            polynomial = polynomial - slopes[i, i, 0] * data.calm[i]
+        if state == "x" and data.denoise_correction is not None:  # along the whole displacement: calm.as_seen
+            polynomial = polynomial - slopes[i, i, 0] * data.denoise_correction[i]
         own = Regressor(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
         made = orthogonalised(own, point.spans, least=1e-3)
         return None if made is None else in_single_precision(made)

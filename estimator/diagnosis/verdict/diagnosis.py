@@ -369,7 +369,7 @@ def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
 
 def _measured_force_message(point: WorkingPoint) -> Message:
     """The message on effects that are not searched for where the force is measured."""
-    known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
+    known = [p for p, S in zip(point.data.places, point.data.measured_force_psd, strict=True) if S > 0.0]
     text = (
         f"the force at {', '.join(known)} is measured: its spectrum and its correlation with other forces are known, "
         "and no missing effect is sought in them"

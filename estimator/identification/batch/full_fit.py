@@ -242,8 +242,8 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
     point = fit_record(model, prepared(model))
     shape_names = {u.name for u in uses if u.name in FORCE_SHAPES}
     for _ in range(MIN_RESOLVING_ROUNDS if shape_names else 0):  # shapes and laws distort each other
-        data = point.data
-        flat = replace(point, data=replace(data, colour=excitation_shapes(bare, data.places, data.f_hz, FORCE_SHAPES)))
+        shape = excitation_shapes(bare, point.data.places, point.data.f_hz, FORCE_SHAPES)
+        flat = replace(point, data=replace(point.data, excitation_shape=shape))
         renewed, found_again = with_resolved_parameters(
             model, shape_names, spectral_shape.find_spectral_shapes(bare, flat), flat
         )

@@ -97,7 +97,9 @@ def _with_pedestal_starts(
         i = uses[k].at[0]
         if kL[i] > 0.0:  # not a fit far from the rotor
             suggest = (
-                transfer_bias.pedestal_from_transfer if data.driven[i] > 0.0 else spectral_models.pedestal_from_spectrum
+                transfer_bias.pedestal_from_transfer
+                if data.measured_force_psd[i] > 0.0
+                else spectral_models.pedestal_from_spectrum
             )
             values, kL[i], c[i] = suggest(without, i)
             started[k] = uses[k].with_values(np.where(uses[k].free, values, uses[k].p))

@@ -54,8 +54,13 @@ def fit_found_harmonics(
     alone, bare = replace(model, effects=uses), point.data
     alone, _ = _step_until_settled(alone, point, point.force)
     added = periodic_amplitudes(alone, bare.places, bare.rate_hz)
-    pushed = (*bare.pushes, *below_band_forces(alone, bare.places))
-    data = replace(bare, known=bare.known - _periodic_series(alone, bare), waves=(*bare.waves, *added), pushes=pushed)
+    pushed = (*bare.periodic_below_band, *below_band_forces(alone, bare.places))
+    data = replace(
+        bare,
+        known=bare.known - _periodic_series(alone, bare),
+        periodic_amplitudes=(*bare.periodic_amplitudes, *added),
+        periodic_below_band=pushed,
+    )
     point = fit_model(data, [*point.placed])
     whole = bare.known - data.known
     whole += point.force

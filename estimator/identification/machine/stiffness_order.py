@@ -119,7 +119,7 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
 
     def clearest(i: int) -> tuple[float, float]:
         """Gain (nats) and frequency (Hz) of the highest line at location i."""
-        force = _without_lines(point.force[i]) if data.driven[i] > 0.0 else point.force[i]
+        force = _without_lines(point.force[i]) if data.measured_force_psd[i] > 0.0 else point.force[i]
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2

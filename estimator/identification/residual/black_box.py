@@ -203,7 +203,11 @@ def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
     o = data.other(i)
     if o is None:
         return None
-    states = [data.calmed(i) / data.rms[0, i], data.calmed(o) / data.rms[0, o], data.v[o] / data.rms[1, o]]
+    states = [
+        data.denoised_displacement(i) / data.rms[0, i],
+        data.denoised_displacement(o) / data.rms[0, o],
+        data.v[o] / data.rms[1, o],
+    ]
     found = _state_group(
         data,
         i,
@@ -218,12 +222,12 @@ def _on_denoised_displacement(group: RegressorGroup, data: MotionRecord, i: int)
 
     Sensor noise in the displacement would gain likelihood as x^2 v.
     """
-    if data.calm is not None:
+    if data.denoise_correction is not None:
         o = data.other(i)
         for series, tangents in zip(group.series, group.tangents, strict=True):
             mean = np.array([tangents[i, 0], 0.0, 0.0 if o is None else tangents[o, 0], 0.0])
             if mean.any():
-                restore_mean_tangent(series, mean, data.calm, i, -1 if o is None else o)
+                restore_mean_tangent(series, mean, data.denoise_correction, i, -1 if o is None else o)
     return group
 
 
@@ -241,10 +245,10 @@ def regressor_groups(
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
-    u, w = (data.calmed(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
+    u, w = (data.denoised_displacement(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
     # Hats are functions of the measured displacement. Of the denoised one their sum is nearly the law's own regressor,
     # with a mean tangent known to one per cent only, and wins likelihood without any force.
-    yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
+    yield hat_group("displacement", data.displacement(i), knots[0], i, 0, P)
     yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
 
     def m(z: Float32Series) -> float:
@@ -288,7 +292,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[RegressorGroup]] = []
     ends = (
-        hat_knots(data.seen(i), float(data.rms[0, i]), X_KNOT_STEP_RMS),
+        hat_knots(data.displacement(i), float(data.rms[0, i]), X_KNOT_STEP_RMS),
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
     room = np.empty(0, np.float32)

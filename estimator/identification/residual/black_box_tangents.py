@@ -34,7 +34,10 @@ def second_order_tangents(
     sizes : (2,) rms of displacement and velocity. knots : of a group of hat functions. orders, times : of groups that
     vary with shaft angle or time.
     """
-    x, v = (here.data.calmed if knots is None else here.data.seen)(here.place), here.data.v[here.place]
+    x, v = (
+        (here.data.denoised_displacement if knots is None else here.data.displacement)(here.place),
+        here.data.v[here.place],
+    )
     if knots is not None:
         which = 0 if name == "displacement" else 1
         step, last = float(knots[1] - knots[0]), knots.size - 2

@@ -36,7 +36,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
     reference for others, as the two numbers of the shape take up the noise.
     """
     data = point.data
-    out, heard = [], data.heard(point.A)
+    out, heard = [], data.noise_referred_to_force(point.A)
     have = {place for u in model.effects if u.name == SENSOR_NOISE.name for place in u.parameters}
     known = [k for k in range(len(data.places)) if k not in shaped]
     plain = [k for k in known if not any(fitted_shape(model, data.places[k], name) for name in SHAPE_PARAMETERS)]
@@ -74,8 +74,8 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
     """Rms of the noise of a location's sensor over the whole band, if the noise is white, in the sensor's unit."""
     data = point.data
     density = point.nu[i] * point.S[i]
-    floor = density * data.heard(point.A)[i]
-    share = floor / (point.S[i] * data.colour[i] + floor)
+    floor = density * data.noise_referred_to_force(point.A)[i]
+    share = floor / (point.S[i] * data.excitation_shape[i] + floor)
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
     return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])

@@ -110,7 +110,7 @@ def cells_of(point: WorkingPoint, i: int) -> SpectralCells:
         n=width * data.blocks,
         w=mean(w),
         A=mean(A.real) + 1j * mean(A.imag),
-        force_shape=mean(data.colour[i]),
+        force_shape=mean(data.excitation_shape[i]),
         noise_gain=mean(_noise_gain(point, i)),
         others=mean(others),
         aliased_gain=mean(aliased_psd(data, point.A, point.S)[i]),

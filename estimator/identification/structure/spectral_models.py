@@ -226,7 +226,7 @@ def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float
     Gain and corner are fitted to the same spectrum, so S is far more uncertain than its number of bins suggests.
     """
     own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
-    flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
+    flat = replace(point, data=replace(point.data, excitation_shape=point.data.excitation_shape / own))
     c, shape = cells_of(flat, i), _coloured_shape(resonance_hz(point, i))
     _, u, scale = fit_base_model(flat, i, c)
     u[0] = np.log(point.S[i])

@@ -44,11 +44,11 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     out: list[Finding] = []
     noise = np.zeros(len(data.places))
     # shapes taken from the measured spectra, which the model does not have
-    seen = data.colour / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
+    seen = data.excitation_shape / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
     white: list[tuple[int, SpectralCells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
-        if data.driven[i] > 0.0:  # the residual of a measured force is noise
+        if data.measured_force_psd[i] > 0.0:  # the residual of a measured force is noise
             shaped.add(i)
             continue
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
@@ -82,13 +82,13 @@ def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> Wo
         return None
     places = {point.data.places.index(s.at[0]) for s in bent}
     for _ in range(SPECTRUM_ROUNDS):
-        colour = point.data.colour.copy()
+        colour = point.data.excitation_shape.copy()
         for i in places:
             c = cells_of(point, i)
             more = c.power / base_model(c, fit_base_model(point, i, c)[1])
             colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
             colour[i] /= colour[i].mean()
-        point = fit_model(replace(point.data, colour=colour), list(point.placed), start=point)
+        point = fit_model(replace(point.data, excitation_shape=colour), list(point.placed), start=point)
     return point
 
 
@@ -224,7 +224,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
     have = {p for u in model.effects if u.name == CORRELATED_FORCE.name for p in u.parameters}
     for i, place in enumerate(data.places):
         j = data.opposite(i)
-        if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
+        if j is None or j < i or place in have or data.measured_force_psd[i] > 0.0 or data.measured_force_psd[j] > 0.0:
             continue
         noise, (a, b) = point.whitening.noise, (point.spectra[k].view(np.complex64) for k in (i, j))
         shape = force_correlation(data, point.A, noise.weight, i, j)

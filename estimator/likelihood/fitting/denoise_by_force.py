@@ -58,7 +58,7 @@ def _below_band_stiffness(point: WorkingPoint) -> NDArray[np.float32]:
 
 def is_settled(point: WorkingPoint, correction: NDArray[np.float32] | None) -> bool:
     """Whether denoised minus measured displacement (places, n) is that of the point; None: 0."""
-    before = point.data.calm
+    before = point.data.denoise_correction
     if correction is None or before is None:
         return correction is before
     return bool(np.all(np.mean((correction - before) ** 2, axis=1) <= SETTLED_REL**2 * point.data.rms[0] ** 2))

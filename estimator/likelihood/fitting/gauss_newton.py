@@ -67,7 +67,7 @@ def fit_model(
         point = point_at(data, kL, c, nu, S, uses)
         S_old, S = S, point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
-        moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
+        moved = moved[: moved.size - 2 * len(data.shared) - len(data.periodic_amplitudes)]
         kL, c, uses = _stepped(point, kL, c)
         nu_old, (nu, weight) = nu, sensor_noise_ratio(point)
         settled = np.allclose(
@@ -88,10 +88,10 @@ def _start_values(
     if start is None:
         kL, c, S = _first_linear_values(data)
         nu = np.zeros(len(data.places))
-        return _denoised(replace(data, left_out=_out_of_band_sd_at(data, c, kL, S)), nu, S), kL, c, nu, S
+        return _denoised(replace(data, out_of_band_sd=_out_of_band_sd_at(data, c, kL, S)), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
-        data = _denoised(replace(data, left_out=start.data.left_out), nu, start.S)
+        data = _denoised(replace(data, out_of_band_sd=start.data.out_of_band_sd), nu, start.S)
     if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
         kL, c, _ = _first_linear_values(data, uses, start.lin)
     return data, kL, c, nu, S
@@ -109,12 +109,12 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
     if data.measured_force and not data.folded_beside.any():
         calm, doubt = denoise_by_force.denoised_by_force(point, nu)
         settled &= denoise_by_force.is_settled(point, calm)
-        data = replace(data, calm=calm, doubt=doubt)
+        data = replace(data, denoise_correction=calm, denoise_sd=doubt)
     else:
         data = data if settled else _denoised(data, nu, point.S)
     outside = _out_of_band_sd(point)
-    if not np.allclose(outside, data.left_out, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
-        data, settled = replace(data, left_out=outside), False
+    if not np.allclose(outside, data.out_of_band_sd, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
+        data, settled = replace(data, out_of_band_sd=outside), False
     level = _excitation_level(point)
     if not levels_agree(level, data.level):
         data, settled = replace(data, level=level), False
@@ -171,7 +171,7 @@ def _first_linear_values(
         f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
         S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
-        c[i] = (S + data.driven[i]) / (4 * data.mass[i] * np.mean(v * v))
+        c[i] = (S + data.measured_force_psd[i]) / (4 * data.mass[i] * np.mean(v * v))
         powers[i] = S
     return kL, c, powers
 
@@ -183,7 +183,7 @@ def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, li
     step = dict(zip(point.fit.names, step_within_limits(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
     least = np.where(
-        point.data.driven > 0.0, MIN_STIFFNESS_SHARE * kL, -np.inf
+        point.data.measured_force_psd > 0.0, MIN_STIFFNESS_SHARE * kL, -np.inf
     )  # a known force forgives no step too far
     kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
     c = c + np.array([step[f"{p}.c"] for p in places])
@@ -250,7 +250,7 @@ def _out_of_band_sd(point: WorkingPoint) -> Array:
     data = point.data
     kL, c = np.einsum("iik->ki", point.mean_tangent)
     if not (np.all(kL > 0.0) and np.all(c > 0.0)):
-        return data.left_out
+        return data.out_of_band_sd
     return _out_of_band_sd_at(data, c, kL, point.S)
 
 
@@ -259,34 +259,41 @@ def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Arr
 
     Below the band a measured force may determine the motion.
     """
-    below_band_psd = np.zeros_like(S) if data.shaken is None else data.driven
+    below_band_psd = np.zeros_like(S) if data.below_band_force is None else data.measured_force_psd
     return out_of_band_sd(
-        data.mass, c, kL, S + data.driven - below_band_psd, data.band, data.rate_hz, data.kinds, below_band_psd
+        data.mass,
+        c,
+        kL,
+        S + data.measured_force_psd - below_band_psd,
+        data.band,
+        data.rate_hz,
+        data.kinds,
+        below_band_psd,
     )
 
 
 def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
     """The record with its denoised displacement. Beside a measured force the noise is the aliased motion."""
-    noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.sharpened
+    noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.undone_noise_gain
     inside = np.array([kind != "displacement" for kind in data.kinds]) * S
     noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
     if data.measured_force:
         noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
     if noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
-        return replace(data, calm=None, doubt=0.0)
+        return replace(data, denoise_correction=None, denoise_sd=0.0)
     bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
     f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
     smooth = noise * data.f_hz**4
     noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
     found = denoising_filter(f_hz, _displacement_psd(data, bins), noise, 0)
-    return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
+    return replace(data, denoise_correction=found.of(data.x, data.rate_hz).astype(np.float32), denoise_sd=found.doubt)
 
 
 def _aliased_with_force(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     """(places, bins) PSD of the aliased acceleration beside a measured force, and its force per acceleration, kg."""
     data = point.data
-    out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
-    for i in np.flatnonzero(data.driven):
+    out, force = np.zeros_like(data.excitation_shape), np.zeros(data.excitation_shape.shape, complex)
+    for i in np.flatnonzero(data.measured_force_psd):
         r = path_spectra_of(point, int(i), every=max(1, data.blocks // SPECTRUM_BLOCKS))
         if np.any(r.folded):
             hz = r.w / (2 * np.pi)

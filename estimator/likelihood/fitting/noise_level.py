@@ -18,9 +18,9 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
     Also (places,) the mean over the band of nu = 1 referred to force, over S.
     """
     data = point.data
-    own = data.heard(point.A)
+    own = data.noise_referred_to_force(point.A)
     noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
-    known = data.colour + aliased_psd(data, point.A, point.S) + noise - point.nu[:, None] * own
+    known = data.excitation_shape + aliased_psd(data, point.A, point.S) + noise - point.nu[:, None] * own
     weight = own.mean(axis=1)
 
     def at(i: int) -> float:

@@ -78,7 +78,7 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), 
         return np.asarray(np.add.reduceat(z[keep], first) / width)
 
     rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
-    shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
+    shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.undone_noise_gain[i]
     noise_psd = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
     across = np.sum(np.abs(point.A[:, i]) ** 2 * noise_psd.T, axis=1, where=others)
     found = PathSpectra(

@@ -14,7 +14,7 @@ MIN_PEAK_SI, MAX_PEAK_SI = 1e-15, 1e15  # a peak outside is a wrong unit, and it
 
 
 def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
-    """Smallest and largest of a channel's finite values. Raises DataError if they cannot be a motion or a force."""
+    """Smallest and largest of a channel's finite samples, SI. Raises DataError if they cannot be motion or force."""
     if z.size < 2:
         raise DataError(f"channel {name} has no valid samples: check its cable and its signal in the rig file")
     low, high = float(z.min()), float(z.max())
@@ -31,7 +31,7 @@ MAX_SHARE_AT_EXTREME = 0.002  # of the samples at the extreme value; more is cli
 
 
 def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
-    """y as (n, channels) float64. Raises DataError with the channel and the remedy."""
+    """The record as (n, channels) float64. Raises DataError naming the channel and the remedy."""
     try:
         y = np.asarray(y, dtype=np.float64)
     except ValueError as e:

@@ -1,13 +1,15 @@
-"""What laws see of a displacement that is integrated from noisy measurements: of each frequency as much as is likely
-to be motion.
+"""Wiener filter of a displacement that is integrated from noisy measurements.
 
-A law of x + e is bent: a cubic comes out weak by twice the share of e^2 in x^2. White noise of an accelerometer is
-1 / w^4 in the displacement, and rules it at the lower edge of the band. So laws see E[x | measured], by Wiener's filter
-with the spectrum as measured, and are smoothed by what is then in doubt (the mean of the law, given the measurement:
-regression calibration, Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 4). The linear terms keep the
-displacement as it is, as the likelihood knows the noise in it, and so does the mean tangent of a law. Noise of sensors
-of displacement is strong above the resonance, where the filter would take the third harmonic, which the motion tells,
-for noise: `fit` takes it out of the Gram matrices instead (dressing.flutter).
+Noise e in the displacement biases a nonlinear law: a cubic of x + e is too weak by twice the share of e^2 in x^2. White
+noise of an accelerometer is 1 / w^4 in the displacement and dominates at the lower band edge. Laws are therefore
+evaluated on E[x | measured], the Wiener filter with the measured spectrum, and smoothed over the remaining error
+(regression calibration). The linear regressors and the mean tangent of a law keep the measured displacement, as the
+likelihood accounts for the noise in them. Displacement sensors are not filtered: their noise is strong above the
+resonance, where the filter would remove the third harmonic; `fit` corrects the Gram matrices for it instead.
+
+References
+----------
+Carroll et al., Measurement Error in Nonlinear Models, 2nd ed., 2006, ch. 4.
 """
 
 from __future__ import annotations
@@ -30,10 +32,10 @@ SMOOTHING_BINS = 7  # over which the spectrum of the motion is smooth
 
 @dataclass(frozen=True, slots=True)
 class DenoisingFilter:
-    """f_hz : (f,). less : (places, f) what a law sees of x beside x itself, -1 (nothing of it) to 0 (all).
+    """Wiener filter of the displacement at every place.
 
-    doubt : (places, 2) sd of the displacement and velocity that are then in doubt. reach : rows on either side that
-    what is seen of one depends on.
+    f_hz : (f,) Hz. less : (places, f) gain of the filter less 1, from -1 (noise only) to 0 (motion only).
+    doubt : (places, 2) sd of displacement, m, and velocity, m/s, that remains. reach : rows of support on either side.
     """
 
     f_hz: Array
@@ -42,7 +44,7 @@ class DenoisingFilter:
     reach: int
 
     def of(self, x: NDArray[np.floating], rate_hz: float) -> Array:
-        """(places, n) what laws see beside x (places, n), sound but for `reach` rows at either end; as precise as x."""
+        """(places, n) m, correction to add to x (places, n), valid but for `reach` rows at either end."""
         w = 2 * np.pi * self.f_hz
 
         def one(i: int) -> Array:
@@ -52,21 +54,26 @@ class DenoisingFilter:
 
 
 def noise_displacement_psd(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
-    """(places, f) one-sided PSD in m^2/Hz of what white noise, (places,) in the unit of each sensor, integrates to; 0
-    for sensors of displacement."""
+    """(places, f) m^2/Hz, one-sided PSD of integrated sensor noise; 0 for displacement sensors.
+
+    noise : (places,) PSD of white noise in the unit of each sensor.
+    """
     w = 2 * np.pi * f_hz
     integrated = np.array([kind != "displacement" for kind in kinds])
     return np.asarray(noise_shape(kinds, w) / w**4 * (noise * integrated)[:, None])
 
 
 def noise_is_negligible(f_hz: Array, e: Array, x2: Array) -> bool:
-    """Whether noise e, (places, f) m^2/Hz, is little beside the displacement, x2 (places,) m^2, everywhere."""
+    """Whether noise e, (places, f) m^2/Hz, is small against the mean square displacement x2, (places,) m^2."""
     return bool((e @ np.gradient(f_hz) <= MAX_NOISE_POWER_SHARE * x2).all())
 
 
 def denoising_filter(f_hz: Array, seen: Array, e: Array, reach: int) -> DenoisingFilter:
-    """f_hz : (f,) of the band, evenly spaced but for what is left out. seen, e : (places, f) one-sided PSDs in m^2/Hz
-    of the displacement as measured and of what in it is noise."""
+    """Wiener filter from the spectra of measured displacement and noise.
+
+    f_hz : (f,) Hz, of the band, evenly spaced but for gaps. seen, e : (places, f) m^2/Hz, one-sided PSDs of the
+    measured displacement and of the noise in it. reach : rows of support on either side.
+    """
     df, w = np.gradient(f_hz), 2 * np.pi * f_hz
     gain = np.clip(1.0 - e / np.maximum(_smooth(seen), e), 0.0, 1.0)
     lost = seen * gain * (1.0 - gain)
@@ -77,9 +84,10 @@ def denoising_filter(f_hz: Array, seen: Array, e: Array, reach: int) -> Denoisin
 def restore_mean_tangent(
     force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating], own: int, other: int
 ) -> None:
-    """Of a law's force (n,) on what it sees, made in place: its mean tangent is of the whole displacement.
+    """Change a law's force (n,) N on denoised motion in place: its mean tangent acts on the measured displacement.
 
-    mean : (4,) tangents along x, v and those of the other direction. calm : (places, n). other : -1 where none is.
+    mean : (4,) mean tangents along x, v, xo, vo. calm : (places, n) m, the denoise correction. own, other : places of
+    the law and of its other direction (-1: not measured).
     """
     force -= mean[0] * calm[own]
     if other >= 0 and mean[2] != 0.0:

@@ -40,7 +40,11 @@ MAX_HARMONICS = 399
 
 @dataclass(frozen=True, slots=True)
 class PeriodicEffect:
-    """One periodic effect with parameters p at a canonical place. hz : its fundamental."""
+    """One periodic effect at a place.
+
+    effect : the effect. key : canonical place of its parameters. p : (k,) parameters, SI. free : (k,) whether each is
+    fitted. hz : its fundamental frequency, Hz.
+    """
 
     effect: Effect
     key: str
@@ -56,7 +60,7 @@ class PeriodicEffect:
         return phase if k is None else phase * self.p[k]
 
     def harmonics(self, model: Model, place: str, count: int, p: Array | None = None) -> Complexes:
-        """(count,) F_1, F_2, ... in N of the force on a cap; the mean is of no interest."""
+        """(count,) N, harmonics F_1, F_2, ... of the force on a cap."""
         p = self.p if p is None else p
         theta = 2 * np.pi * (np.arange(POINTS_PER_TURN) + 0.5) / POINTS_PER_TURN
         f = frequency_index(self.effect)
@@ -75,7 +79,7 @@ class PeriodicEffect:
         return np.asarray(F)
 
     def highest(self, band: tuple[float, float]) -> int:
-        """The last order of its angle that a band, Hz, reaches."""
+        """Highest order of its angle below the upper edge of a band, Hz."""
         return int(min(band[1] / self.hz, POINTS_PER_TURN // 8))
 
     def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
@@ -153,17 +157,18 @@ def periodic_effects(model: Model) -> list[PeriodicEffect]:
 
 @dataclass(frozen=True, slots=True)
 class PeriodicForce:
-    """One number of a periodic effect that its force is proportional to, at the places it acts on.
+    """Force of a periodic effect per unit of one amplitude, at the places where the effect acts.
 
-    name : in full, "bearing1.x.line.a". tables : by place index, (TURN + 1,) N per unit over a turn of the angle, as
-    far as the band lets it through.
+    name : of the amplitude, "bearing1.x.line.a"; empty for the whole force. unit : of the amplitude. one : the effect.
+    tables : by place index, (POINTS_PER_TURN + 1,) N per unit over a turn of the angle, in the band.
+    swings : by place index, (SPEED_RATIOS,) gain over that at the mean speed, where the force depends on the speed.
     """
 
     name: str
     unit: str
     one: PeriodicEffect
     tables: dict[int, Array]
-    swings: dict[int, Complexes]  # (RATIOS,) by place index, where the force depends on the speed
+    swings: dict[int, Complexes]
 
     def series(self, t: Array, phase: Array) -> dict[int, Array]:
         """(n,) N per unit by place index, at t in s and phase in rad."""
@@ -171,7 +176,7 @@ class PeriodicForce:
         return {i: z for i, z in made.items() if z is not None}
 
     def at(self, i: int, t: Array, phase: Array) -> Array | None:
-        """(n,) the same at one place; None where it does not act."""
+        """(n,) N per unit at place i, at t in s and phase in rad; None where the effect does not act."""
         if i not in self.tables:
             return None
         theta = self.one.angle(t, phase)
@@ -206,7 +211,7 @@ def shaft_speeds(t: Array, phase: Array) -> Array:
 
 
 def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | None:
-    """(RATIOS,) force on a cap over that at the mean speed; None where it does not depend on the speed."""
+    """(SPEED_RATIOS,) force on a cap over that at the mean speed; None if it does not depend on the speed."""
     if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
         return None
     omega = 2 * np.pi * one.hz * np.append(SPEED_RATIOS, 1.0)
@@ -216,7 +221,7 @@ def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | Non
 
 
 def speed_gain_at(swing: Complexes, ratio: Array) -> Complexes:
-    """(n,) a swing at these ratios of the speed to the mean one."""
+    """(n,) speed gain at these ratios of the speed to the mean speed."""
     return np.asarray(np.interp(ratio, SPEED_RATIOS, swing.real) + 1j * np.interp(ratio, SPEED_RATIOS, swing.imag))
 
 
@@ -256,16 +261,17 @@ def periodic_series(model: Model, places: tuple[str, ...], t: Array, phase: Arra
 
 
 def periodic_forces(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
-    """What the model's periodic effects put on the caps, all numbers of each together, where the band lets it
-    through."""
+    """Forces of the model's periodic effects in the band, all amplitudes of an effect together."""
     made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_effects(model)]
     return tuple(PeriodicForce("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
 
 
 @dataclass(frozen=True, slots=True)
 class BelowBandForce:
-    """A periodic force below the band. force : by index of the place, (orders,) N of its harmonics there, from the
-    first."""
+    """A periodic force below the band.
+
+    one : the effect. force : by place index, (orders,) N, its harmonics from the first. swings : as PeriodicForce.
+    """
 
     one: PeriodicEffect
     force: dict[int, Complexes]
@@ -293,7 +299,7 @@ def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandF
 
 
 def _turned(harmonics: Complexes) -> Array:
-    """(TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
+    """(POINTS_PER_TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
     spectrum = np.zeros(POINTS_PER_TURN // 2 + 1, complex)
     spectrum[1 : harmonics.size + 1] = 0.5 * POINTS_PER_TURN * harmonics
     wave = np.fft.irfft(spectrum, POINTS_PER_TURN)
@@ -301,7 +307,7 @@ def _turned(harmonics: Complexes) -> Array:
 
 
 def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
-    """(TURN + 1,) N over a turn of the angle by index of the places it acts on, if the band lets it through."""
+    """(POINTS_PER_TURN + 1,) N in the band over a turn, by index of the places where the effect acts."""
     count = int(min(0.5 * rate_hz / one.hz, POINTS_PER_TURN // 8))
     gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
     tables: dict[int, Array] = {}
@@ -314,5 +320,5 @@ def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz:
 
 
 def acts_on(one: PeriodicEffect, place: str) -> bool:
-    """Whether it puts a force on the cap there."""
+    """Whether a periodic effect puts a force on the bearing cap at a place."""
     return one.key in ("disc", place, place.split(".")[0])

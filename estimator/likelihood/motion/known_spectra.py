@@ -1,4 +1,4 @@
-"""What the model says by frequency before a fit: the shaft, the shape of the forces, what is undone and folded back."""
+"""Spectra that the model gives before a fit: shaft, excitation shape, noise of corrected channels, aliasing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind ==
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
-    """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
+    """(f, places, places) N/m, dynamic stiffness of shaft and disc at the measured bearing caps."""
     disc = disc_of(model)
     if disc is None:
         return np.zeros((f_hz.size, len(places), len(places)), complex)
@@ -27,7 +27,7 @@ def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArra
 
 
 def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
-    """Bins of a block spectrum that a fit looks at."""
+    """Indices of the bins of a block spectrum that are fitted: the band without the disc's resonance."""
     f = np.fft.rfftfreq(block, 1 / rate_hz)
     inside = (f >= model.band[0]) & (f <= model.band[1])
     if notch := shaft_notch(model):
@@ -36,12 +36,12 @@ def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
 
 
 def undone_noise_gain(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) |true over measured|^2 of the responses that are undone, of sensors and of recorders."""
+    """(places, f) power gain of undoing the responses of sensor and recorder."""
     return np.array([1.0 / np.abs(channel_response(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
 def folded_noise(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
-    """What the recorder's filter lets through above half the rate, as MotionRecord.echoes."""
+    """(images, places, f) PSD of acceleration that sampling folds back, over the PSD of the force."""
     own = [folded_images(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
     out = np.zeros((max(map(len, own)), len(places), f_hz.size))
     for i, z in enumerate(own):
@@ -52,8 +52,7 @@ def folded_noise(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], 
 def excitation_shapes(
     model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = SPECTRAL_SHAPES
 ) -> Array:
-    """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
-    in the record, a resonant sensor. names : of the effects."""
+    """(places, f) spectral shape of the excitation by the effects `names` of the model; 1 where a force is measured."""
     known = measured_force_places(model)
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:

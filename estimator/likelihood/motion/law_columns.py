@@ -30,7 +30,7 @@ from .memory_law import memory_force, memory_force_and_response
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
+    """Consecutive rows, MARGIN_ROWS more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
 
     slow : (places, n) displacement below the band that the laws see beside x (below_band.py). calm : (places, n) what
     they see beside x where sensors are noisy (denoise.py).

@@ -1,7 +1,7 @@
-"""The force of a law along the measured motion, as the estimator needs it: smoothed over what the band leaves out.
+"""Force of a law along the measured motion, smoothed over the unmeasured part of the motion.
 
 The true displacement is the band-limited one plus an out-of-band remainder e, small, Gaussian and independent of it.
-What the in-band force sees of a law phi is then E_e[phi(x + e)], and its mean tangent is E_e[phi'(x + e)]. A three-
+The in-band force of a law phi is then E_e[phi(x + e)], and its mean tangent is E_e[phi'(x + e)]. A three-
 point Gauss-Hermite rule gives both: nodes at -h, 0, +h with h = sqrt(3) sd(e), weights 1/6, 2/3, 1/6; the derivative
 is the central difference over the same nodes (Stein's identity), so a jump such as sgn(v) gets its density term.
 
@@ -90,10 +90,10 @@ def _prototype(finer: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class LawStates:
-    """What a law is evaluated on: (n,) arrays at one place, MARGIN rows wider on either side than what is asked for.
+    """States at one place that a law is evaluated on, (n,) each, MARGIN_ROWS wider on either side than the result.
 
-    x, v, xo, vo : m and m/s (zeros where there is no other direction); t : s; phase : rad; s : +1 in x, -1 in y.
-    h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool. made : what `signals` has made.
+    x, v, xo, vo : m and m/s (zeros without another direction). t : s. phase : rad. s : +1 in x, -1 in y.
+    h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool. made : cache of `signals`.
     """
 
     x: Series
@@ -108,7 +108,7 @@ class LawStates:
     made: dict[bytes, Signals] = field(default_factory=dict)
 
     def signals(self, reads: NDArray[np.bool_]) -> Signals:
-        """What a law is handed that reads these of x, v, xo, vo."""
+        """Signals for a law that reads these of x, v, xo, vo; zeros for the others."""
         key = reads.tobytes()
         if key not in self.made:
             if b"" not in self.made:
@@ -121,7 +121,7 @@ class LawStates:
         return self.made[key]
 
     def inner(self) -> LawStates:
-        """Without the margins."""
+        """The states without the margins."""
         k = slice(MARGIN_ROWS, -MARGIN_ROWS)
         x, v, xo, vo, t, phase = (
             np.ascontiguousarray(z[k]) for z in (self.x, self.v, self.xo, self.vo, self.t, self.phase)
@@ -129,7 +129,7 @@ class LawStates:
         return LawStates(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
 
     def finer(self, reads: NDArray[np.bool_]) -> LawStates:
-        """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
+        """The states on the fine grid, HALF_SUPPORT_ROWS (coarse) wider than the inner rows; 0 for what is not read."""
         n = (self.x.size - 2 * HALF_SUPPORT_ROWS) * FINE_GRID_FACTOR
         zero = np.zeros(n)
 
@@ -149,7 +149,7 @@ class LawStates:
 
 
 def reads_states(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:
-    """(4,) whether the law reads x, v, xo, vo, by trying 64 states of rms `scale` (4,)."""
+    """(4,) whether a law reads x, v, xo, vo, by trial at 64 states of rms `scale` (4,)."""
     z, t, phase = _tried_states()
     x, v, xo, vo = scale[:, None] * z
     force = force_array(effect, p, x, v, xo, vo, t, phase).reshape(5, 64)
@@ -174,13 +174,15 @@ def has_kink(effect: Effect, p: Array, scale: Array) -> bool:
 
 
 def has_jump(effect: Effect, p: Array, scale: Array) -> bool:
-    """Whether the law has a jump along such orbits."""
+    """Whether the law has a jump along orbits of up to four standard deviations."""
     return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
 
 
 def harmonics_alias(effect: Effect, p: Array, scale: Array, folding_hz: float) -> bool:
-    """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
-    less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
+    """Whether a harmonic of the law aliases into the band.
+
+    scale : (4,) rms of x, v, xo, vo. folding_hz : the sampling rate less the upper band edge.
+    """
     x, v = scale[::2], scale[1::2]
     moving = x > 0.0
     hz = FREQUENCY_SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
@@ -188,14 +190,14 @@ def harmonics_alias(effect: Effect, p: Array, scale: Array, folding_hz: float) -
 
 
 def highest_harmonic(effect: Effect, p: Array, scale: Array) -> int:
-    """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `MAX_HARMONIC`."""
+    """Highest harmonic of the force along an orbit of 2.6 standard deviations, at most `MAX_HARMONIC`."""
     x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
     size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : MAX_HARMONIC + 1]
     return 1 + int(np.flatnonzero(size > MIN_HARMONIC_REL * size.max(initial=0.0)).max(initial=0))
 
 
 def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
-    """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
+    """Ratio of the largest second difference of the force on orbits of `points` to that on four times as many."""
     largest = []
     for n in (points, 4 * points):
         at, states = _orbits(n)
@@ -215,7 +217,7 @@ def _orbits(n: int) -> tuple[Array, Array]:
 
 
 def _orbit(at: Array) -> Array:
-    """(4, n) x, v, xo, vo of size 1 at these angles."""
+    """(4, n) x, v, xo, vo of amplitude 1 at these angles."""
     return np.asarray(np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]])))
 
 
@@ -242,7 +244,7 @@ def law_force(
 
 
 def _signal(z: Series) -> Array:
-    """What the compiled loops are made for."""
+    """The series as contiguous float64, as the compiled loops need it."""
     return np.ascontiguousarray(z, dtype=np.float64)
 
 
@@ -252,7 +254,7 @@ def compile_law(effect: Effect, p: Array) -> None:
 
 
 def interpolated(z: Series, finer: int = FINE_GRID_FACTOR) -> Array:
-    """A signal on the finer grid, without HALF (coarse) rows on either side."""
+    """A signal (n,) on the fine grid, without HALF_SUPPORT_ROWS (coarse) rows on either side."""
     out = np.empty((z.size - 2 * HALF_SUPPORT_ROWS) * finer)
     _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
     return out

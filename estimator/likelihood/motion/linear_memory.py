@@ -1,5 +1,4 @@
-"""Forces with memory whose states obey linear equations (a pedestal): their response to motion, exactly; and what a
-response makes of a series."""
+"""Exact response of a force with memory whose states obey linear equations (a pedestal)."""
 
 from __future__ import annotations
 
@@ -16,8 +15,10 @@ DERIVATIVE_STEP_REL = 1e-3  # of a stiffness or damping, for derivatives of the 
 
 
 def state_matrix(effect: Effect, p: Array, lin: Array) -> Array | None:
-    """(n + 1, n + 2) dz/dt of the n states, and the force, per (z, x, v); for parameters p and (m, kL, c). None if they
-    are not linear in them."""
+    """(n + 1, n + 2) derivatives of dz/dt of the n states and of the force by (z, x, v); None if not linear.
+
+    p : parameters of the law, SI. lin : (3,) m, kL, c of the bearing cap.
+    """
     n = effect.states
     rates, force = effect.rates, effect.memory_force
     if rates is None or force is None:
@@ -38,7 +39,7 @@ def state_matrix(effect: Effect, p: Array, lin: Array) -> Array | None:
 
 
 def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
-    """Force per displacement, N/m, at w (f,) rad/s, for parameters p and (m, kL, c); None if not linear."""
+    """Function of w (f,) rad/s: force per displacement, N/m; None if not linear. lin : (3,) m, kL, c."""
     n, M = effect.states, state_matrix(effect, p, lin)
     if M is None:
         return None
@@ -61,8 +62,10 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
 
 
 def response_derivative(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
-    """Derivative of the response by the linear stiffness (which = 1) or damping (2) beside it, per unit; None if it is
-    not linear or does not depend on it."""
+    """Derivative of the linear response by the cap's stiffness kL (which = 1) or damping c (2).
+
+    None if the law is not linear, or its response does not depend on the parameter.
+    """
     step = DERIVATIVE_STEP_REL * np.eye(3)[which] * abs(lin[which])
     up, down = linear_response(effect, p, lin + step), linear_response(effect, p, lin - step)
     if up is None or down is None or not step.any():
@@ -74,7 +77,7 @@ def response_derivative(effect: Effect, p: Array, lin: Array, which: int) -> Cal
 
 
 def filtered_series(response: Callable[[Array], Complexes], x: Array, rate_hz: float, by: int = 1) -> Array:
-    """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times its rate."""
+    """(by n,) series (n,) filtered by a response at w (f,) rad/s, at `by` times its rate (periodic at the ends)."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = next_fast_len(x.size, real=True)

@@ -1,4 +1,4 @@
-"""Effects of a model at their places on a record: start values in SI, force, mean tangent, tangent along the path."""
+"""The laws of a model at their places: start values, force and mean tangents along a motion record."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FORCE_KINDS = ("force", "memory", "shaft")  # kinds of effects that act through 
 
 
 def natural_sizes(data: MotionRecord, i: int, kL: float) -> Size:
-    """Natural sizes at a place, measured."""
+    """Natural sizes at a place from the measured motion, SI. kL : N/m."""
     return Size(
         x=float(data.rms[0, i]), v=float(data.rms[1, i]), m=float(data.mass[i]), kL=float(kL),
         a=float(data.rms[2, i]), rate_hz=data.rate_hz, band_hz=data.band[1],
@@ -46,20 +46,22 @@ def natural_sizes(data: MotionRecord, i: int, kL: float) -> Size:
 
 
 def first_stiffness(data: MotionRecord, i: int) -> float:
-    """N/m, first idea: E[v^2] / E[x^2] times the mass."""
+    """First estimate of the stiffness at a place, N/m: mass times E[v^2] / E[x^2]."""
     return float(data.mass[i] * np.mean(data.v[i] ** 2) / np.mean(data.x[i] ** 2))
 
 
 def acted_on(effect: Effect, canonical: str, data: MotionRecord) -> tuple[int, ...]:
-    """Indices of the measured places that an effect at a canonical place acts on."""
+    """Indices of the measured places on which an effect at a canonical place acts."""
     if effect.kind in ("shaft", "disc"):
         return tuple(range(len(data.places)))
     return tuple(i for i, p in enumerate(data.places) if p == canonical or p.split(".")[0] == canonical)
 
 
 def searched_parameters(effect: Effect, model: Model) -> list[int]:
-    """Numbers of the parameters that are searched: neither amplitudes, nor given, nor known from the geometry. A
-    ball-pass order of the record is stepped with the rest: the phase of the amplitudes hangs on it."""
+    """Indices of the searched parameters: neither amplitudes, nor given, nor known from the bearing geometry.
+
+    A ball-pass order found in the record is searched too, as the phase of the amplitudes depends on it.
+    """
     return [
         k
         for k, q in enumerate(effect.parameters)
@@ -72,7 +74,7 @@ def _estimated(q: EffectParameter, model: Model) -> bool:
 
 
 def start_value(q: EffectParameter, natural: Size, model: Model) -> float:
-    """SI value of a parameter that nothing is said about."""
+    """Start value of a parameter without a setting, SI."""
     known = kinematic(q.scale, model)
     if known is not None:
         return known
@@ -80,7 +82,7 @@ def start_value(q: EffectParameter, natural: Size, model: Model) -> float:
 
 
 def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
-    """The model's force effects at their places, with the rig file's values as start."""
+    """The model's force laws at their places, started at the values of the rig file."""
     out = []
     for use in model.effects:
         effect = effect_of(use)
@@ -105,7 +107,7 @@ def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
 
 
 def trial_effects(model: Model) -> list[Effect]:
-    """What a diagnosis tries: the catalogue, and the laws of the user that are no part of the model yet."""
+    """Effects that a diagnosis tries: the catalogue, and laws of the user that the model does not have yet."""
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
 
 
@@ -122,10 +124,14 @@ LawAlongPath = tuple[Array, Array, NDArray[np.complex128] | None]
 
 @dataclass(frozen=True, slots=True)
 class LocatedLaw:
-    """An effect with parameters p (in declared order) shared by the places of index `at`; `key` heads their names."""
+    """One law with its parameters, acting at one or more places.
+
+    effect : the law. key : head of the names of its parameters, "bearing1.x.clearance". at : indices of its places.
+    p : (k,) parameters in declared order, SI. free : (k,) whether each parameter is fitted.
+    """
 
     effect: Effect
-    key: str  # "bearing1.x.clearance"
+    key: str
     at: tuple[int, ...]
     p: Array
     free: tuple[bool, ...]
@@ -138,19 +144,21 @@ class LocatedLaw:
 
 
 def has_nonlinear_memory(placed: LocatedLaw, lin: Array) -> bool:
-    """Whether a law has a memory that obeys no linear equations."""
+    """Whether a law has memory whose states obey nonlinear equations. lin : (3,) m, kL, c."""
     return placed.effect.kind == "memory" and linear_memory.linear_response(placed.effect, placed.p, lin) is None
 
 
 def law_along_record(
     placed: LocatedLaw, data: MotionRecord, i: int, lin: Array, p: Array | None = None
 ) -> LawAlongPath:
-    """(n,) N of the effect at place i, (folds, places, 2) its mean tangents to x_l and v_l of every place in every time
-    fold, and what more it answers to x_l in the mean, (places, bins) N/m, where it has a memory or acts through the
-    disc.
+    """Force of a law at place i along the record, its mean tangents, and its mean response.
 
-    lin : (places, 3) m, kL, c. The tangent is averaged along the path, not under an assumed density: for a jump
-    in v it is the Ito correction of this path.
+    The tangent is averaged along the path, not under an assumed density: for a jump in v it is the Ito correction of
+    this path. lin : (places, 3) m, kL, c. p : parameters in place of the law's own.
+
+    Returns the force (n,) N; its mean tangents (folds, places, 2) to x and v of every place, N/m and N s/m; and
+    (places, bins) N/m its mean response to the displacement of every place, None unless the law has memory or acts
+    through the disc.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
     slopes = np.zeros((TIME_FOLDS, len(data.places), 2))
@@ -159,7 +167,7 @@ def law_along_record(
         if linear is not None:
             own = linear(2 * np.pi * data.f_hz)
             return linear_memory.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
-        f, mean = memory_force_and_response(placed.effect, p, lin[i], data.seen(i), data.v[i], data.rate_hz)
+        f, mean = memory_force_and_response(placed.effect, p, lin[i], data.displacement(i), data.v[i], data.rate_hz)
         return f, slopes, own_response(mean.at(data.f_hz), i, data)
     if placed.effect.kind == "shaft":
         f, across = shaft_law.shaft_force(placed.effect, p, data, i, lin)
@@ -173,14 +181,14 @@ def law_along_record(
 
 
 def own_response(response: NDArray[np.complex128] | complex, i: int, data: MotionRecord) -> NDArray[np.complex128]:
-    """(places, bins) of a response (bins,) to the displacement of place i itself."""
+    """(places, bins) N/m, response (bins,) to the displacement of place i itself; 0 for other places."""
     out = np.zeros((len(data.places), data.bins.size), complex)
     out[i] = response
     return out
 
 
 def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bool:
-    """Whether the samples of a law at place i do not hold what it does: it jumps, or its harmonics fold."""
+    """Whether a law at place i has to be evaluated on a finer grid: it jumps, or its harmonics alias."""
     size = data.sizes(i)
     return has_jump(effect, p, size) or harmonics_alias(effect, p, size, data.rate_hz - data.band[1])
 
@@ -188,15 +196,15 @@ def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bo
 def _along(
     effect: Effect, p: Array, data: MotionRecord, i: int, tangents: Series | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: as the fit has them.
+    """Force (n,) N of a memoryless law along the motion of place i, and its mean tangents (folds, 4) to x, v, xo, vo.
 
-    A law with a jump, or whose harmonics fold back into the band, is evaluated on a finer grid. tangents : (2, n) to
-    be filled with those along x and v, on the grid of the data.
+    A law that jumps, or whose harmonics alias, is evaluated on a finer grid. tangents : (2, n) to be filled with the
+    tangents along x and v, on the grid of the record.
     """
     o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
     reads = reads_states(effect, p, np.maximum(size, 1e-300))
     sharp = tangents is None and needs_finer_grid(effect, p, data, i)
-    zero, states = np.zeros(n), product((i, o), (data.calmed, data.v.__getitem__))
+    zero, states = np.zeros(n), product((i, o), (data.denoised_displacement, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
     out, sums = np.empty(n), np.zeros((TIME_FOLDS, 4))
     for f, a, b in _pieces(data):
@@ -214,14 +222,14 @@ def _along(
     if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < MAX_FORCE_N):
         raise NotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(data.fold_rows, 1)[:, None]
-    if data.calm is not None:
+    if data.denoise_correction is not None:
         for f, a, b in _pieces(data):  # by time folds, as the black box: beside a drift theirs differ
-            restore_mean_tangent(out[a:b], sums[f], data.calm[:, a:b], i, -1 if o is None else o)
+            restore_mean_tangent(out[a:b], sums[f], data.denoise_correction[:, a:b], i, -1 if o is None else o)
     return out, sums
 
 
 def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
-    """The time fold of a piece of the record, its first row and the one after its last."""
+    """Pieces of the record: time fold, first row, row after the last."""
     last = np.cumsum(data.fold_rows)
     for f, (rows, end) in enumerate(zip(data.fold_rows.tolist(), last.tolist(), strict=True)):
         for a in range(end - rows, end, ROWS_PER_PIECE):
@@ -229,7 +237,7 @@ def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
 
 
 def tangent_series(placed: LocatedLaw, data: MotionRecord, i: int, p: Array) -> Series:
-    """(2, n) tangents of a law along x and v at place i, those whose means `law_along_record` gives."""
+    """(2, n) tangents of a law to x and v along place i, N/m and N s/m."""
     tangents = np.zeros((2, data.x.shape[1]), np.float32)
     _along(placed.effect, np.ascontiguousarray(p, dtype=np.float64), data, i, tangents)
     return tangents

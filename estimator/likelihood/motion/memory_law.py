@@ -1,15 +1,12 @@
-"""Forces with memory that obey no linear equations (Bouc-Wen): the force along the measured motion, and its mean
-response to a little more motion.
+"""Forces with memory whose states obey nonlinear equations (Bouc-Wen): force along the motion, and mean response.
 
-The states are integrated on a grid finer than the samples, on the motion as its band limits it: on straight lines
-between samples the force at 6 kHz comes out 16 % too small.
+The states are integrated on a grid finer than the samples, with band-limited interpolation of the motion.
 
-The likelihood needs the mean response <T(f)> of the force to an added displacement. It is found from steps of
-displacement that are launched all along the path: what each leaves in the force, averaged over the steps, is the step
-response, without the scatter of a random probe. physics.md section 5 says why it is no regression on the motion.
+The likelihood needs the mean response <T(f)> of the force to an added small displacement. It is the average over small
+steps of displacement that are launched all along the path. A regression of the force on the motion would be biased, as
+the motion is not Gaussian.
 
-Hidden states along a path, and linearised about it: what a small motion beside the path does to states and force.
-
+The step responses follow from the states and the force linearised about the path.
 Over a step of the grid the states change by A dZ + b (x0 + x1)/2 + d (x1 - x0), and the force by r dZ + s x + u v, for
 a small change dZ of the states and a small motion x, v. All six are derivatives of the integrator itself, so what is
 made of them is the derivative of the force that the path is given, kinks included.
@@ -39,10 +36,10 @@ DERIVATIVE_STEP_REL = 1e-7  # change of a state or of the motion over its larges
 
 @dataclass(frozen=True, slots=True)
 class LinearisedMemory:
-    """Of the states (S,) of one law or several, in n rows.
+    """Linearisation of S states and of the force about a path of n rows, of one law or several.
 
-    step : (n, S, S + 2) change of the states over the step from every row, by the states before, the mean displacement
-    of the step, its rise. force : (n, S + 2) of the force, by the states, x and v.
+    step : (n, S, S + 2) derivatives of the states' change over a step by the states before, the mean displacement and
+    its rise. force : (n, S + 2) derivatives of the force by the states, x and v.
     """
 
     step: Array
@@ -68,7 +65,7 @@ def stacked_states(laws: list[LinearisedMemory]) -> LinearisedMemory:
 def force_along_path(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, dt: float, start: Array, about: bool = True
 ) -> tuple[Array, Array, LinearisedMemory | None]:  # fmt: skip
-    """(n,) N of the force along a path (n,) from states (S,) at its start; (n, S) its states; linearised if asked."""
+    """Force (n,) N along a path (n,) from states `start` (S,), the states (n, S), and the linearisation if `about`."""
     if effect.rates is None or effect.memory_force is None:
         raise ValueError(f"{effect.name}: no memory law (kind {effect.kind})")
     n, S, rows = x.size, effect.states, x.size if about else 0
@@ -83,7 +80,7 @@ def force_along_path(
 
 
 def reads_motion(effect: Effect, p: Array, lin: Array) -> tuple[bool, bool]:
-    """Whether a law with memory reads the displacement, and whether its force reads the velocity, by trying."""
+    """Whether a law with memory reads the displacement, and whether its force reads the velocity, by trial."""
     return _reads(effect, tuple(p.tolist()), tuple(lin.tolist()))
 
 
@@ -170,8 +167,10 @@ FOLLOWED_HALVINGS = 5  # every second step is followed for half of MEMORY_CYCLES
 
 @dataclass(frozen=True, slots=True)
 class MeanResponse:
-    """Of a force to displacement. taps : (lags,) N/m, the force of every displacement so far, rows dt apart.
-    tangent : N s/m, to velocity alone."""
+    """Mean response of a force to displacement.
+
+    taps : (lags,) N/m, force per past displacement, dt apart. dt : s. tangent : N s/m, to velocity alone.
+    """
 
     taps: Array
     dt: float
@@ -187,7 +186,7 @@ class MeanResponse:
 def memory_force(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: StepResponses | None = None
 ) -> Array:  # fmt: skip
-    """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
+    """Force (n,) N along a path, states from rest. lin : (3,) m, kL, c. mean : accumulates step responses; or None."""
     n, rate = x.size, FINE_GRID_FACTOR * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
     fast, stride = reads_motion(effect, p, lin)[1], min(max(n // ROWS_PER_PIECE // MIN_PIECES, 1), MAX_PIECE_STRIDE)
@@ -198,7 +197,7 @@ def memory_force(
         speed = interpolated(v[rows], FINE_GRID_FACTOR) if fast else np.zeros_like(fine)
         stepped = mean is not None and a // ROWS_PER_PIECE % stride == 0
         force, states, about = force_along_path(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
-        start = states[(b - a) * FINE_GRID_FACTOR].copy()  # HALF rows before the end: where the next piece begins
+        start = states[(b - a) * FINE_GRID_FACTOR].copy()  # where the next piece begins
         out[a:b] = decimated(force, FINE_GRID_FACTOR)
         if mean is not None and about is not None:
             mean.add(about)
@@ -208,13 +207,13 @@ def memory_force(
 def memory_force_and_response(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
 ) -> tuple[Array, MeanResponse]:
-    """The same with the mean response."""
+    """Force (n,) N along a path, states from rest, and its mean response. lin : (3,) m, kL, c."""
     mean = StepResponses(x, v, 1.0 / (FINE_GRID_FACTOR * rate_hz))
     return memory_force(effect, p, lin, x, v, rate_hz, mean), mean.response()
 
 
 class StepResponses:
-    """Sums of the answers to steps along a path x, v (any rate), whose rows are to be dt apart."""
+    """Sums of step responses along a path x, v (any rate), on rows dt apart."""
 
     def __init__(self, x: Series, v: Series, dt: float) -> None:
         cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
@@ -223,7 +222,7 @@ class StepResponses:
         self.rows, self.tangent = 0, 0.0
 
     def add(self, about: LinearisedMemory) -> None:
-        """Steps along a piece of it."""
+        """Add the step responses along a piece of the path."""
         _launch(about.step, about.force, self.stride, FOLLOWED_HALVINGS, self.sums, self.counts)
         self.rows, self.tangent = self.rows + len(about.force), self.tangent + float(about.force[:, -1].sum())
 

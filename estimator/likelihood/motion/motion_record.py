@@ -1,4 +1,4 @@
-"""A record as equal blocks of band-limited motion: what comparison and diagnosis work on."""
+"""A record as equal blocks of band-limited motion, the data of comparison and diagnosis."""
 
 from __future__ import annotations
 
@@ -23,21 +23,54 @@ MAX_MOTION_ERROR_REL = 0.1  # of the motion of a cap; with a larger error the ca
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionRecord:
-    """Valid blocks laid end to end, n = blocks * block rows. SI.
+    """Band-limited motion of a record in valid blocks laid end to end, with what the model gives before a fit. SI.
 
-    v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
-    m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad, of the shaft, by a tacho or at the
-    model's speed. start : (blocks,) first row of each block in the record. fold : (blocks,) number of the time fold.
-    v, x, known and slow are in single precision. It rounds a force by some millionths of k x; memory, which is most of
-    what a record of minutes costs, is half.
+    n = blocks * block rows; places are the measured directions of the bearing caps; bins are those of `bins`. v, x,
+    known and slow are in single precision, which rounds a force by some 1e-6 of k x and halves the memory.
+
+    places : names of the places, "bearing1.x" ...
+    kinds : (places,) kind of the motion sensor at each place.
+    rate_hz : rows per second.
+    band : lower and upper edge of the analysis band, Hz.
+    block : rows of a block.
+    bins : (bins,) indices into the block spectrum: the band without the resonance of the disc on its shaft.
+    start : (blocks,) first row of each block in the record.
+    fold : (blocks,) number of the time fold.
+    v, x : (places, n) band-limited velocity and displacement.
+    known : (places, n) N, the force that needs no estimate: m a, shaft and disc, less measured and periodic forces.
+    t : (n,) s from the start of the record.
+    phase : (n,) rad, shaft angle, measured by a tacho or at the model's speed.
+    mass : (places,) kg of the bearing caps.
+    speed : rad/s of the shaft, 0 if unknown.
+    shaft : (bins, places, places) N/m, dynamic stiffness of shaft and disc at the bearing caps.
+    excitation_shape : (places, bins) spectral shape of the excitation that the model has, mean about 1.
+    out_of_band_sd : (places, 2) sd of the displacement and velocity outside of the band.
+    rms : (3, places) of x, v and a, over the whole record.
+    measured_force_psd : (places,) N^2/Hz of the measured forces; 0 without one.
+    undone_noise_gain : (places, bins) power gain of the noise where a channel response was undone.
+    echoes : (images, places, bins) PSD of acceleration that sampling folds back, over S.
+    folded_beside : (places, bins) N^2/Hz, the part of it that is folded back beside a measured force.
+    alike_beside : (places, bins) the force that goes with folded_beside.
+    passed : (2, places, bins) response of the sensors to the images from below and beyond the sampling rate.
+    measured : (places, n) displacement below the band, 0 where it is not measured; None without displacement sensors.
+    slow : (places, n) displacement below the band as the laws see it; None if it is neglected.
+    denoise_correction : (places, n) denoised displacement less the displacement; None if the noise is negligible.
+    denoise_sd : (places, 2) sd of displacement and velocity that remains after denoising; 0.0 without.
+    shared : pairs of places whose unmeasured forces may be correlated.
+    periodic_below_band : the model's periodic forces below the band.
+    periodic_amplitudes : the model's periodic forces in the band by free amplitude; `known` has their known part.
+    level : (places, blocks) power of the excitation over its mean; None if it is constant.
+    disc : the disc on its shaft; None without one.
+    below_band_force : (places, n) N, measured forces below the band; None without measured forces.
+    drawn : (places,) rms error of reconstructed clipped motion over the rms of the motion; None if nothing is clipped.
     """
 
     places: tuple[str, ...]
-    kinds: tuple[str, ...]  # of their sensors
+    kinds: tuple[str, ...]
     rate_hz: float
     band: tuple[float, float]
     block: int
-    bins: NDArray[np.int64]  # of the block spectrum: those in the band, without the resonance of the disc
+    bins: NDArray[np.int64]
     start: NDArray[np.int64]
     fold: NDArray[np.int64]
     v: Series
@@ -46,34 +79,33 @@ class MotionRecord:
     t: Array
     phase: Array
     mass: Array
-    speed: float  # rad/s, 0 if unknown
-    shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
-    colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
-    left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
-    rms: Array  # (3, places) of x, of v and of a, over the whole record
-    driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
-    sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
-    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: recorder.py
-    folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
-    alike_beside: Complexes  # (places, bins) the force that goes with it
-    passed: Complexes  # (2, places, bins) sensor_response.passed_of_images
-    measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
-    slow: Series | None = None  # (places, n) all of it that the laws see: below_band.py
-    calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: denoise.py
-    doubt: Array | float = 0.0  # (places, 2) sd of the displacement and velocity that this leaves
-    shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
-    pushes: tuple[BelowBandForce, ...] = ()  # the model's periodic forces below the band, which laws feel
-    waves: tuple[
-        PeriodicForce, ...
-    ] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
-    level: Array | None = None  # (places, blocks) power of the unknown force over its mean: excitation_level.py
-    disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
-    shaken: Series | None = None  # (places, n) N, measured forces below the band: below_band.py
-    drawn: Array | None = None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: declip.py
+    speed: float
+    shaft: NDArray[np.complex128]
+    excitation_shape: Array
+    out_of_band_sd: Array
+    rms: Array
+    measured_force_psd: Array
+    undone_noise_gain: Array
+    echoes: Array
+    folded_beside: Array
+    alike_beside: Complexes
+    passed: Complexes
+    measured: Series | None = None
+    slow: Series | None = None
+    denoise_correction: Series | None = None
+    denoise_sd: Array | float = 0.0
+    shared: tuple[tuple[int, int], ...] = ()
+    periodic_below_band: tuple[BelowBandForce, ...] = ()
+    periodic_amplitudes: tuple[PeriodicForce, ...] = ()
+    level: Array | None = None
+    disc: Disc | None = None
+    below_band_force: Series | None = None
+    drawn: Array | None = None
 
     @property
     def measured_force(self) -> bool:
-        return bool(self.driven.any())
+        """Whether a force is measured at any place."""
+        return bool(self.measured_force_psd.any())
 
     @property
     def folded(self) -> Array:
@@ -81,12 +113,14 @@ class MotionRecord:
         return np.asarray(self.echoes.sum(axis=0))
 
     def unsure(self, i: int) -> float:
-        """How far off the motion at a place is, over its own, where some was drawn; inf where nothing can be judged."""
+        """Relative rms error of the motion at a place where clipped samples were reconstructed; inf: not usable."""
         return 0.0 if self.drawn is None else float(self.drawn[i])
 
     def passed_on(self, off: Mapping[str, float]) -> Array:
-        """(places,) how far off the motion is, over its own, where it is off by so much at some places (inf: nothing is
-        known of it): at the other cap by as much as the force that the shaft brings there is of that in its bearing."""
+        """(places,) relative error of the motion, from the errors at some places (inf: unknown).
+
+        The shaft passes an error on to the opposite cap, in the ratio of the shaft's force there to the bearing's.
+        """
         out = np.array([off.get(place, 0.0) for place in self.places])
         for i, own in enumerate(out.copy()):
             if own and (o := self.opposite(i)) is not None:
@@ -104,11 +138,12 @@ class MotionRecord:
 
     @property
     def lost(self) -> frozenset[str]:
-        """The places that cannot."""
+        """The places that cannot be judged."""
         return frozenset(self.places).difference(self.places[i] for i in self.judged)
 
     @property
     def blocks(self) -> int:
+        """Number of blocks."""
         return int(self.start.size)
 
     @property
@@ -118,12 +153,12 @@ class MotionRecord:
 
     @property
     def fold_rows(self) -> NDArray[np.int64]:
-        """(folds,) rows of each time fold; of rows that are not whole blocks any more, its share of them."""
+        """(folds,) rows of each time fold; its share of the rows if they are not whole blocks any more."""
         last = np.cumsum(self.fold_blocks) * self.x.shape[1] // self.blocks
         return np.asarray(np.diff(last, prepend=0), dtype=np.int64)
 
     def over_folds(self, means: Array) -> Array:
-        """The mean over the record of means over its time folds (folds, ...)."""
+        """Mean over the record from the means over its time folds (folds, ...)."""
         return np.asarray(np.tensordot(self.fold_rows / self.fold_rows.sum(), means, 1))
 
     @property
@@ -137,18 +172,21 @@ class MotionRecord:
         """Frequencies of the bins, (bins,)."""
         return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)
 
-    def heard(self, A: NDArray[np.complex128]) -> Array:
-        """(places, bins) PSD of force over that of white noise of the place's own sensor, through A (bins, places,
-        places)."""
+    def noise_referred_to_force(self, A: NDArray[np.complex128]) -> Array:
+        """(places, bins) PSD of sensor noise referred to force, over the PSD of the white noise of the place's sensor.
+
+        A : (bins, places, places) force per acceleration, kg.
+        """
         return np.asarray(np.abs(np.einsum("kii->ik", A)) ** 2 * self.noise_shape)
 
     @property
     def noise_shape(self) -> Array:
-        """(places, bins) PSD as acceleration of white noise of the sensors, over that noise."""
-        return np.asarray(noise_shape(self.kinds, 2 * np.pi * self.f_hz) * self.sharpened)
+        """(places, bins) PSD of white sensor noise as acceleration, over its PSD in the unit of the sensor."""
+        return np.asarray(noise_shape(self.kinds, 2 * np.pi * self.f_hz) * self.undone_noise_gain)
 
     @property
     def seconds(self) -> float:
+        """Length of all blocks, s."""
         return self.blocks * self.block / self.rate_hz
 
     def other(self, i: int) -> int | None:
@@ -163,59 +201,64 @@ class MotionRecord:
         name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
         return self.places.index(name) if name in self.places else None
 
-    def seen(self, i: int) -> Series:
-        """(n,) displacement at a place as its laws see it."""
+    def displacement(self, i: int) -> Series:
+        """(n,) m, displacement at a place: in the band, and below it where that is known."""
         return np.asarray(self.x[i] if self.slow is None else self.x[i] + self.slow[i])
 
-    def calmed(self, i: int) -> Series:
-        """(n,) the same without the noise of sensors: denoise.py."""
-        return self.seen(i) if self.calm is None else np.asarray(self.seen(i) + self.calm[i])
+    def denoised_displacement(self, i: int) -> Series:
+        """(n,) m, displacement at a place without the noise of its sensor."""
+        x, correction = self.displacement(i), self.denoise_correction
+        return x if correction is None else np.asarray(x + correction[i])
 
     def sizes(self, i: int) -> Array:
-        """(4,) rms of x, v at a place and of x, v in the other direction, 0 without one."""
+        """(4,) rms of x, v at a place and of x, v in the other direction (0 if that is not measured)."""
         o = self.other(i)
         return np.concatenate([self.rms[:2, i], np.zeros(2) if o is None else self.rms[:2, o]])
 
     def smoothing(self, i: int) -> Array:
-        """(4,) sqrt(3) sd of what a law sees of x, v, xo, vo beside the motion in the band: law_smoothing.py."""
+        """(4,) half-widths for the smoothing of laws: sqrt(3) sd of the unmeasured part of x, v, xo, vo."""
         o = self.other(i)
-        both = np.hypot(self.left_out, self.doubt)
+        both = np.hypot(self.out_of_band_sd, self.denoise_sd)
         lost = np.concatenate([both[i], np.zeros(2) if o is None else both[o]])
         return np.asarray(np.sqrt(3.0) * np.maximum(lost, MIN_SMOOTHING_SD * self.sizes(i)))
 
     def sign(self, i: int) -> float:
+        """+1 in direction x, -1 in direction y."""
         return 1.0 if self.places[i].endswith("x") else -1.0
 
     def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionRecord:
-        """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
-        measured, slow, calm = (None if z is None else of(z) for z in (self.measured, self.slow, self.calm))
-        return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, calm=calm, **rest)
+        """Record with `of` applied to every series of motion (places, n), and other fields as given."""
+        series = (self.measured, self.slow, self.denoise_correction)
+        measured, slow, correction = (None if z is None else of(z) for z in series)
+        return replace(
+            self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, denoise_correction=correction, **rest
+        )
 
     def in_one(self) -> MotionRecord:
-        """With the displacement that laws see, less the noise of sensors, as one: all that their tangents need."""
-        x = np.stack([self.calmed(i) for i in range(len(self.places))])
-        return replace(self, x=x, measured=None, slow=None, calm=None, shaken=None)
+        """Record whose x is the denoised displacement: all that the tangents of laws need."""
+        x = np.stack([self.denoised_displacement(i) for i in range(len(self.places))])
+        return replace(self, x=x, measured=None, slow=None, denoise_correction=None, below_band_force=None)
 
     def of_blocks(self, some: NDArray[np.int64]) -> dict[str, Any]:
-        """The fields that have a value for every block, of some of them."""
+        """Fields with a value for every block, at some blocks."""
         level = None if self.level is None else self.level[:, some]
         return {"start": self.start[some], "fold": self.fold[some], "level": level}
 
     def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionRecord:
-        """Only these rows: views of them if they are a slice. rest : fields that change with them."""
+        """Record of some rows; views if they are a slice. rest : other fields that change."""
 
         def taken(z: Series) -> Series:
             if isinstance(rows, list):
                 return np.concatenate([z[..., run] for run in rows], axis=-1)
             return z[..., rows] if isinstance(rows, slice) else np.ascontiguousarray(z[..., rows])
 
-        shaken = None if self.shaken is None else taken(self.shaken)
-        same = {"known": taken(self.known), "t": taken(self.t), "phase": taken(self.phase), "shaken": shaken}
+        force = None if self.below_band_force is None else taken(self.below_band_force)
+        same = {"known": taken(self.known), "t": taken(self.t), "phase": taken(self.phase), "below_band_force": force}
         return self.states(taken, **same, **rest)
 
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
-    """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
+    """Record of the first blocks of every time fold, about `seconds` in all; the record itself if it is no longer."""
     per_fold = max(2, int(seconds * data.rate_hz / data.block / TIME_FOLDS))
     if data.blocks <= 1.25 * per_fold * TIME_FOLDS:
         return data
@@ -224,27 +267,27 @@ def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
 
 
 def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:
-    """The same without the bins between; the data themselves if there are none."""
+    """Record without the bins between two frequencies, Hz; the record itself if there are none."""
     keep = (data.f_hz < low) | (data.f_hz > high)
     if keep.all():
         return data
-    return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
-                   sharpened=data.sharpened[:, keep], echoes=data.echoes[..., keep],
+    return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], excitation_shape=data.excitation_shape[:, keep],
+                   undone_noise_gain=data.undone_noise_gain[:, keep], echoes=data.echoes[..., keep],
                    folded_beside=data.folded_beside[:, keep], alike_beside=data.alike_beside[:, keep],
                    passed=data.passed[..., keep])  # fmt: skip
 
 
 def fold_record(data: MotionRecord, f: int) -> MotionRecord:
-    """The blocks of one time fold, as views of the record."""
+    """Record of one time fold, as views."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
     return data.at(rows, **data.of_blocks(here))
 
 
 def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:
-    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was.
+    """Record with displacement, velocity, time and phase at `by` times the rate; other fields are unchanged.
 
-    Blocks that follow one another are interpolated as one: a law that remembers takes a leap between them for motion.
+    Neighbouring blocks are interpolated as one, as a law with memory takes a jump between blocks for motion.
     """
     stretches = data.stretches
 
@@ -264,14 +307,14 @@ def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:
 
 
 def decimated_record(data: MotionRecord, by: int) -> MotionRecord:
-    """Every so manyth row of displacement, velocity, time and phase of finer blocks."""
+    """Record with every `by`-th row of displacement, velocity, time and phase."""
     rows = slice(None, None, by)
     return data.states(lambda z: z[:, rows], rate_hz=data.rate_hz / by, block=data.block // by, t=data.t[rows],
                        phase=data.phase[rows])  # fmt: skip
 
 
 def mean_psd(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
-    """One-sided PSD of blocks laid end to end, Hann window."""
+    """Frequencies, Hz, and one-sided PSD of a series (n,) of blocks laid end to end, under a Hann window."""
     rows = series[: series.size // block * block].reshape(-1, block)
     window = np.hanning(block)
     Z = np.fft.rfft(rows * window, axis=1)
@@ -280,6 +323,6 @@ def mean_psd(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
 
 
 def joined_blocks(starts: NDArray[np.int64], block: int) -> list[slice]:
-    """The rows of all blocks, neighbours joined."""
+    """Rows of all blocks as slices, neighbouring blocks joined. starts : first row of each."""
     cuts = np.flatnonzero(np.diff(starts) != block) + 1
     return [slice(int(s[0]), int(s[-1]) + block) for s in np.split(starts, cuts)]

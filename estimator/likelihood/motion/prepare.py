@@ -1,4 +1,4 @@
-"""A record as the model sees it: sensor effects of the model undone, the band cut, and everything aligned in blocks."""
+"""The motion record of a model: channel responses undone, band limited, aligned in blocks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MAX_RECORD_S = 240.0  # of a record that are kept (10 MB/s), in TIME_FOLDS stret
 
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
-    """Blocks of a record y (n, channels), SI. Raises DataError as `motion_record` does."""
+    """Motion record of y (n, channels), SI, at most MAX_RECORD_S of it. Raises DataError as `motion_record` does."""
     return leading_blocks(motion_record(model, corrected_record(model, y, rate_hz), rate_hz), MAX_RECORD_S)
 
 
@@ -48,9 +48,9 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
 
 
 def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionRecord:
-    """Band-limit a record (n, channels of the model) and cut it into valid blocks.
+    """Motion record of y (n, channels of the model), SI, in valid blocks of `block` rows (less for a short record).
 
-    Raises DataError if no ten blocks are valid, or a channel does not move.
+    Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
     y = np.asarray(y, dtype=np.float64)
     places = model.places
@@ -97,9 +97,10 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionRecord(
         places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
-        v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, left_out=np.zeros((P, 2)), rms=rms,
-        driven=driven, measured=below, slow=below, shared=_shared(model), pushes=below_band_forces(model, places),
-        waves=periodic_amplitudes(model, places, rate_hz), disc=disc_of(model), shaken=slow,
+        v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, out_of_band_sd=np.zeros((P, 2)), rms=rms,
+        measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model),
+        periodic_below_band=below_band_forces(model, places), below_band_force=slow,
+        periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
         **_spectra_of_model(model, kinds, mass, rate_hz, f),
     )  # fmt: skip
 
@@ -110,8 +111,8 @@ def _spectra_of_model(model: Model, kinds: tuple[str, ...], mass: Array, rate_hz
     zero = np.zeros((len(places), f_hz.size))
     return {
         "shaft": shaft_response(model, places, f_hz),
-        "colour": excitation_shapes(model, places, f_hz, FORCE_SHAPES),
-        "sharpened": undone_noise_gain(model, places, f_hz),
+        "excitation_shape": excitation_shapes(model, places, f_hz, FORCE_SHAPES),
+        "undone_noise_gain": undone_noise_gain(model, places, f_hz),
         "echoes": folded_noise(model, places, kinds, mass, f_hz),
         "folded_beside": zero,
         "alike_beside": zero.astype(complex),
@@ -120,9 +121,10 @@ def _spectra_of_model(model: Model, kinds: tuple[str, ...], mass: Array, rate_hz
 
 
 def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
-    """Columns of a record of the channel of motion of each place, and of the channels of force, by place.
+    """Column of the motion channel of each place, and columns of the force channels by place.
 
-    Raises DataError if it has other channels than the model, or one does not move."""
+    Raises DataError if the record has other channels than the model, or one does not move.
+    """
     if y.ndim != 2 or y.shape[1] != len(model.channels):
         raise DataError(
             f"the record has {y.shape[-1]} channels, the rig {len(model.channels)}: use the rig of the record"
@@ -139,7 +141,7 @@ def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
 
 
 def _too_short(used: Array, blocks: int, rate_hz: float, block: int) -> str:
-    """Why a record is refused that has no more valid blocks than these."""
+    """Why a record with so few valid blocks is refused."""
     needed = f"at least {2 * TIME_FOLDS * block / rate_hz:.2g} s are needed"
     if np.isfinite(used).all():
         left = f"{len(used) / rate_hz:.2g} s, {blocks * block / rate_hz:.2g} s of it behind the analysis filter"
@@ -151,7 +153,7 @@ def _too_short(used: Array, blocks: int, rate_hz: float, block: int) -> str:
 
 
 def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, Series]) -> Array:
-    """(places,) kg: of the rig file, else the scale that a measured force gives, else 1."""
+    """(places,) kg, mass of the rig file, else the least-squares mass from a measured force, else 1."""
     mass = np.array([model.cap_mass(p) or 1.0 for p in model.places])
     for i, force in measured.items():
         if model.cap_mass(model.places[i]) is None:
@@ -161,7 +163,7 @@ def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, S
 
 
 def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Series, u: Series) -> Series:
-    """(places, n) N: m a, and what shaft and disc pull. u : what the other end does, written over; empty without."""
+    """(places, n) N, inertia m a and the force of shaft and disc. u : reaction to the other end, overwritten."""
     P = len(model.places)
     known = u[:P] if len(u) else np.zeros_like(x)
     for direction in "xy":
@@ -177,7 +179,7 @@ def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Serie
 
 
 def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Series:
-    """(places, n) N of the forces measured `at` places (forces, n) what is below the band; 0 at the others."""
+    """(places, n) N, measured forces (forces, n) below the band at their places; 0 elsewhere."""
     out = np.zeros((len(model.places), forces.shape[1]), np.float32)
     for place, force in zip(at, forces, strict=True):
         out[model.places.index(place)] = below_band_force(force, rate_hz, model.band)
@@ -185,13 +187,13 @@ def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Serie
 
 
 def _shared(model: Model) -> tuple[tuple[int, int], ...]:
-    """Pairs of places whose unknown forces the model lets be correlated."""
+    """Pairs of places whose unmeasured forces may be correlated in the model."""
     found = [at(effect_of(u), u, model) for u in model.effects if effect_of(u).scope == "bearings"]
     return tuple((model.places.index(p), model.places.index(f"bearing2.{p[-1]}")) for keys in found for p in keys)
 
 
 def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
-    """First rows of as many non-overlapping all-valid blocks as there are."""
+    """First rows of the non-overlapping blocks without an invalid row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
     out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return np.concatenate(out) if out else np.zeros(0, np.int64)

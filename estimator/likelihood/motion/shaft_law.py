@@ -1,13 +1,13 @@
 """Laws between the disc and the caps (a breathing crack): their force on the caps along the measured motion, and its
 mean response.
 
-The disc is not measured, and what takes g(phase) of the shaft's stiffness moves it otherwise than the shaft of the rig
-file does. Its deflection s against the mean of the caps obeys
+The disc is not measured. A law that takes g(phase) of the shaft's stiffness changes the motion of the disc. The
+deflection s of the disc against the mean of the two caps of a direction obeys
 
     m s'' + C s' + (K - g) s = -m x'',    x the mean displacement of the two caps of a direction,
 
-with m, C, K those of the disc on its shaft: linear, and periodic in time. s = s0 + s1, where s0 is what the rig file's
-shaft does and is in the balance already; what is left of the shaft's force is m s1'' / 2 on each cap. s1 is integrated
+with m, C, K those of the disc on its shaft: linear, and periodic in time. s = s0 + s1, where s0 is the deflection with
+the unchanged shaft, which is part of the known force. The law adds the force m s1'' / 2 on each cap. s1 is integrated
 along the path, as a series in g does not converge at the disc's resonance (quality of thousands).
 """
 
@@ -32,21 +32,23 @@ ANGLES_PER_TURN = 64  # from which mean and first harmonic of the law are comput
 
 
 def first_of_direction(data: MotionRecord, i: int) -> int:
-    """The first cap of the direction of a place: the force on both is the same."""
+    """Index of the first cap of the direction of a place: the force on both caps is the same."""
     o = data.opposite(i)
     return i if o is None else min(i, o)
 
 
 def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array) -> tuple[Array, Complexes]:
-    """(n,) N on the cap at a place, and (places, bins) N/m its mean response to the displacement of every place; zero
-    where there is no shaft, or the other cap is not measured. lin : (places, 3) m, kL, c."""
+    """Force (n,) N on the cap at a place, and (places, bins) N/m its mean response to the displacement of every place.
+
+    Both are zero without a disc on a shaft, or if the opposite cap is not measured. lin : (places, 3) m, kL, c.
+    """
     across, disc, o = np.zeros((len(data.places), data.bins.size), complex), data.disc, data.opposite(i)
     if disc is None or o is None:
         return np.zeros(data.x.shape[1]), across
     caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
     if max(-g.min(), g.max()) < MIN_LAW_REL * disc.K:
         disc = disc.blurred()
-    calm = 0.0 if data.calm is None else data.calm[caps].astype(np.float64)
+    calm = 0.0 if data.denoise_correction is None else data.denoise_correction[caps].astype(np.float64)
     mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
     steps = max(1, int(np.ceil(disc.w0 / (MAX_STEP_RAD * data.rate_hz))))
     disc_motion = filtered_series(disc.follows, mean, data.rate_hz, 2 * steps)
@@ -56,24 +58,26 @@ def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
     bins = 2 * np.pi * data.f_hz
     across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])
-    if data.calm is not None:  # its mean response is to the whole displacement, as of the laws at a cap: denoise.py
+    if (
+        data.denoise_correction is not None
+    ):  # its mean response is to the whole displacement, as of the laws at a cap: denoise.py
         force -= filtered_series(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
     return force, across
 
 
 def _comb_hz(data: MotionRecord, effects: Iterable[Effect]) -> tuple[float, float] | None:
-    """Between which a model with such a law is not judged; None for other models."""
+    """Range of frequencies that a model with a law of the shaft leaves out, Hz; None for other models."""
     return data.disc.comb_hz if data.disc is not None and any(effect.kind == "shaft" for effect in effects) else None
 
 
 def without_shaft_orders(data: MotionRecord, effects: Iterable[Effect]) -> MotionRecord:
-    """The record without those bins; as it is for other models."""
+    """Record without the bins at the shaft orders about the disc's resonance; unchanged for other models."""
     comb = _comb_hz(data, effects)
     return data if comb is None else without_bins(data, *comb)
 
 
 def comb_message(data: MotionRecord, effects: Iterable[Effect]) -> tuple[Message, ...]:
-    """What to tell of them. data : of the fit."""
+    """Message about the bins that are left out. data : the record of the fit."""
     comb = _comb_hz(data, effects)
     if comb is None or comb[1] < data.band[0] or comb[0] > data.band[1]:
         return ()
@@ -86,16 +90,16 @@ def comb_message(data: MotionRecord, effects: Iterable[Effect]) -> tuple[Message
 
 
 def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:
-    """(n,) N/m that a law takes of the shaft's stiffness."""
+    """(n,) N/m, reduction of the shaft's stiffness by a law."""
     zero = np.zeros(t.size)
     return np.asarray(-force_array(effect, p, np.ones(t.size), zero, zero, zero, t, phase))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _beside(s0, g, m, C, K, dt, steps):  # type: ignore[no-untyped-def]
-    """(n,) N: m s1'' / 2 = (g s - C s1' - K s1) / 2. s0 : (2 steps n,) at half steps; g : (n,).
+    """(n,) N, the force m s1'' / 2 = (g s - C s1' - K s1) / 2. s0 : (2 steps n,) m, at half steps; g : (n,) N/m.
 
-    Each step is that of a linear oscillator of the mean g, exact but for Simpson's rule over what drives it.
+    Each step is that of a linear oscillator with the mean g, exact but for Simpson's rule over its forcing.
     """
     n = g.size
     out = np.empty(n)

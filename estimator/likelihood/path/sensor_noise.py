@@ -59,7 +59,7 @@ class SensorNoise:
 def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> SensorNoise:
     """Sensor noise in residual forces. A : (bins, places, places) kg. nu : (places,) noise over S. S : (places,)."""
     referred = referred_psd(data, A, nu * S) / S[:, None]
-    weight = 1.0 / (data.colour + aliased_psd(data, A, S) + referred)
+    weight = 1.0 / (data.excitation_shape + aliased_psd(data, A, S) + referred)
     P = len(data.places)
     noise = (data.noise_shape * nu[:, None] + data.folded) * S[:, None]
     R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
@@ -75,7 +75,9 @@ def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> Sen
         B[:, i, i] -= data.alike_beside[i]
         noise[i] = data.folded_beside[i]
     folded = np.einsum("lk,kjl->klj", noise, B.conj()) * root[:, None, :] ** 2
-    return replace(found, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
+    return replace(
+        found, folded=folded, alone=(data.excitation_shape * weight * (data.measured_force_psd == 0.0)[:, None]).T
+    )
 
 
 def force_correlation(data: MotionRecord, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
@@ -85,7 +87,7 @@ def force_correlation(data: MotionRecord, A: Complexes, weight: Array, i: int, j
     """
     own, back = np.sqrt(weight[i] * weight[j]), np.sqrt(data.folded[i] * data.folded[j])
     through = A[:, i, i] * A[:, j, j].conj() + A[:, i, j] * A[:, j, i].conj()
-    return np.asarray(own * (np.sqrt(data.colour[i] * data.colour[j]) + back * through))
+    return np.asarray(own * (np.sqrt(data.excitation_shape[i] * data.excitation_shape[j]) + back * through))
 
 
 def aliased_psd(data: MotionRecord, A: Complexes, S: Array) -> Array:

@@ -280,7 +280,7 @@ def _all_regressors(
     """Regressors of stiffness and damping, of the laws, and of periodic forces. own : those of each law."""
     made = [t for i in range(len(data.places)) for t in linear_regressors(data, i, lin[i], uses)]
     made += [t for ts in own for t in ts]
-    return made + map_threads(lambda wave: _periodic_regressor(data, wave), data.waves)
+    return made + map_threads(lambda wave: _periodic_regressor(data, wave), data.periodic_amplitudes)
 
 
 def _corrected_as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> list[Regressor]:

@@ -1,15 +1,10 @@
-"""The slow displacement that some laws make and no accelerometer sees: below the band, it follows from the law.
+"""Displacement below the band, which no accelerometer measures: computed from the laws and the known forces.
 
-A law with an even part (a quadratic one, a one-sided stop) pushes the cap off its centre, by more while the vibration
-is stronger: x_slow = -h(phi(x + x_slow)), h the response of the rotor below the band, through the shaft also at the
-other cap: there it is half as large with a shaft twice as stiff as the bearings. Left out, kq of 6 % of
-the bearing force comes out 4 % too small, and the law works about the wrong centre. A periodic force below the band,
-such as an imbalance, turns the stiffness of a law that sees only the rest. Hysteresis pushes by loops that end off the
-centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about twice the
-resonance, would be taken for stiffness.
-
-Where a force is measured, what it does below the band is known as well, and every law has it: beside a strong x^5 it
-is 8 % of the displacement, and its coefficient came out 1 % small, many times what its standard deviation said.
+A law phi with an even part (quadratic, one-sided stop) moves the cap off its centre, further while the vibration is
+stronger: x_slow = -h(phi(x + x_slow)). h is the compliance of the rotor below the band; through the shaft it also acts
+on the opposite cap. Without this displacement the coefficient of the law is biased by some per cent. A hysteresis moves
+the cap by loops that end off the centre. A periodic force below the band, such as an imbalance, moves the working point
+of every law. So does a measured force below the band.
 """
 
 from __future__ import annotations
@@ -36,7 +31,7 @@ MEASURED_FORCE_ROUNDS = 3  # of the iteration for the tangents of laws under a m
 
 
 def has_even_part(effect: Effect, p: Array, sizes: Array) -> bool:
-    """Whether a law has a part that is even in the motion; sizes : (4,) of x, v, xo, vo."""
+    """Whether a law has a part that is even in the motion. sizes : (4,) rms of x, v, xo, vo, m and m/s."""
     if effect.kind != "force" or effect.force is None:
         return False
     x, v, xo, vo = np.random.default_rng(0).normal(size=(4, TRIED_STATES)) * sizes[:, None]
@@ -45,12 +40,12 @@ def has_even_part(effect: Effect, p: Array, sizes: Array) -> bool:
 
 
 def usual_parameters(effect: Effect) -> Array:
-    """(k,) parameters of a law in natural sizes."""
+    """(k,) default parameters of a law, in natural sizes."""
     return np.array([1.0 if q.linear else q.default for q in effect.parameters])
 
 
 def usual_sizes(effect: Effect) -> Array:
-    """(4,) of x, v, xo, vo that the usual parameters of a law are natural for: a user's law has its lengths in m."""
+    """(4,) sizes of x, v, xo, vo that fit the default parameters of a law (a user's law has lengths in m)."""
 
     def of(unit: str) -> float:
         return max((abs(q.default) for q in effect.parameters if q.unit == unit and q.default), default=1.0)
@@ -61,8 +56,10 @@ def usual_sizes(effect: Effect) -> Array:
 def below_band_compliance(
     yields: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], kinds: Sequence[str]
 ) -> Callable[[Array], Complexes]:
-    """Displacement below the band per force, (f, places, places) m/N at w (f,) rad/s, as far as the sensors do not show
-    it. yields : all of it. kinds : of the sensor at each place."""
+    """Function of w (f,) rad/s: unmeasured displacement below the band per force, (f, places, places) m/N.
+
+    yields : function of w, the whole compliance. kinds : kind of the sensor at each place.
+    """
 
     def response(w: Array) -> Complexes:
         f = w / (2 * np.pi)
@@ -75,7 +72,7 @@ def below_band_compliance(
 def below_band_displacement(
     push: Mapping[int, Array], response: Callable[[Array], Complexes], rate_hz: float, low_hz: float
 ) -> dict[int, Array]:
-    """(n,) m by place, of those that restoring forces push (n,) N by place move; nothing from low_hz on."""
+    """(n,) m by place, displacement below low_hz under restoring forces push (n,) N by place."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     n = next(iter(push.values())).size
@@ -89,30 +86,31 @@ def below_band_displacement(
 
 
 def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequence[LocatedLaw]) -> MotionRecord:
-    """The record with the slow displacement of the laws as they stand, of periodic forces and of measured ones, beside
-    what sensors measure of it. kL, c : (places,).
+    """Record with the displacement below the band: measured, and from laws, periodic forces and measured forces.
 
-    Where a cap resonates below the band, measured forces make most of the motion there, by numbers that are fitted
-    above: they are let go.
+    If a cap resonates below the band, measured forces are neglected there: the response at the resonance is not
+    identified by the band. kL : (places,) N/m; c : (places,) N s/m.
     """
     lin = np.stack([data.mass, kL, c], axis=1)
     own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
-    if not any(own) and not data.pushes and data.shaken is None:
+    if not any(own) and not data.periodic_below_band and data.below_band_force is None:
         return data
-    for _ in range(1 if data.shaken is None else MEASURED_FORCE_ROUNDS):
+    for _ in range(1 if data.below_band_force is None else MEASURED_FORCE_ROUNDS):
         push, tangents = _pushed(data, own, lin)
         D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
-        if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent
+        if data.below_band_force is not None:  # the caps then move much, and a strong law answers as its mean tangent
             D[..., 0] += tangents
             if not _above(data, np.diag(D[..., 0])):
-                return with_below_band_motion(replace(data, slow=data.measured, shaken=None), kL, c, uses)
-            push = {i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.shaken)}
+                return with_below_band_motion(replace(data, slow=data.measured, below_band_force=None), kL, c, uses)
+            push = {
+                i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.below_band_force)
+            }
         response = _response(data, D)
         slow = np.zeros(data.x.shape, np.float32)
         if push:
             for i, x in below_band_displacement(push, response, data.rate_hz, data.band[0]).items():
                 slow[i] += x
-        for periodic in data.pushes:
+        for periodic in data.periodic_below_band:
             for i, x in periodic.displacement(data.t, data.phase, response).items():
                 slow[i] += x
         if data.measured is not None:
@@ -128,26 +126,28 @@ def _response(data: MotionRecord, D: Array) -> Callable[[Array], Complexes]:
 
 
 def _above(data: MotionRecord, k: Array) -> bool:
-    """Whether every cap resonates above the lower edge of the band. k : (places,) N/m, in the bearing."""
+    """Whether every cap resonates above the lower band edge. k : (places,) N/m, stiffness of the bearing."""
     held = 0.0 if data.disc is None else data.disc.held[0]
     return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
 
 
 def _pushes(use: LocatedLaw, data: MotionRecord, i: int, lin: Array) -> bool:
-    """Whether a law makes slow displacement, or takes of that of a measured force."""
+    """Whether a law makes displacement below the band, or acts on that of a measured force."""
     if use.effect.kind == "force":
-        return data.shaken is not None or has_even_part(use.effect, use.p, data.sizes(i))
+        return data.below_band_force is not None or has_even_part(use.effect, use.p, data.sizes(i))
     return has_nonlinear_memory(use, lin[i])
 
 
 def _pushed(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array) -> tuple[dict[int, Array], Array]:
-    """By place the force (n,) N of its laws, and (places, places) N/m their mean tangents to the displacements."""
+    """Force (n,) N of the laws by place, and (places, places) N/m their mean tangents to the displacements."""
 
     def force(use: LocatedLaw, i: int) -> tuple[Array, Array]:
         if use.effect.kind == "force":
             f, slopes, _ = law_along_record(use, data, i, lin)
             return f, data.over_folds(slopes)[:, 0]
-        return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz), np.zeros(len(own))
+        return memory_array(use.effect, use.p, lin[i], data.displacement(i), data.v[i], data.rate_hz), np.zeros(
+            len(own)
+        )
 
     def at(i: int) -> tuple[Array, Array]:
         forces, slopes = zip(*(force(u, i) for u in own[i]), strict=True)

@@ -1,7 +1,4 @@
-"""What the laws of a working point, fluctuating together, do to the mean response of any law at the same place.
-
-Beside a law that remembers it is found by a probe: impulse_probe.py.
-"""
+"""Second-order correction of mean responses by the fluctuating tangents of the laws at a working point."""
 
 from __future__ import annotations
 
@@ -34,11 +31,11 @@ SAMPLES_PER_CYCLE = 40.0  # of the motion: the covariance of a jump falls within
 
 @dataclass(frozen=True, slots=True)
 class Fluctuation:
-    """Of one place. data : the part of the record it was taken from. total : (2, n) whole tangent of the laws there,
-    about its mean, and K its spectra.
+    """Fluctuation of the tangents of all laws at one place.
 
-    g : (2, lags) dressed impulse response of x and v. whole : (bins,) N/m, Sigma of all laws together. only : the law
-    there, if it is one.
+    data : the part of the record that is used. place : index of the place. total : (2, n) sum of the tangents along x
+    and v, less its mean. K : spectra of total. g : (2, lags) corrected impulse response of x and v. whole : (bins,)
+    N/m, self-energy of all laws together. only : the law if there is one only; None otherwise.
     """
 
     data: MotionRecord
@@ -50,24 +47,23 @@ class Fluctuation:
     only: LocatedLaw | None = None
 
     def per_unit(self, placed: LocatedLaw, k: int) -> Complexes | None:
-        """What `of` gives for the force per unit of parameter k, where it is known: it is all that the law there has,
-        and the only law. None elsewhere."""
+        """(bins,) N/m, self-energy per unit of parameter k if that is the only amplitude of the only law; else None."""
         amplitudes = [j for j, q in enumerate(placed.effect.parameters) if q.linear]
         return self.whole / placed.p[k] if placed is self.only and amplitudes == [k] and placed.p[k] else None
 
     def of_memory(self, placed: LocatedLaw, p: Array) -> Complexes | float:
-        """Of a law that remembers nothing: it is dressed beside its like only."""
+        """Self-energy of a law with memory: 0, as it is corrected together with such laws only."""
         return 0.0
 
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
-        """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
+        """(bins,) N/m per unit, self-energy of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
         return self_energy(
             tangent_covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz
         )
 
     def shorter(self, seconds: float) -> Fluctuation:
-        """The same from less of the record."""
+        """Fluctuation from the first `seconds` of the record."""
         data = leading_blocks(self.data, seconds)
         if data is self.data:
             return self
@@ -76,8 +72,7 @@ class Fluctuation:
         return replace(self, data=data, total=total, K=_spectra(total, data, self.g.shape[1]))
 
     def coarse(self, rate_hz: float, mean: ModalResponse) -> Fluctuation:
-        """The same at the rate of the record, for laws without jumps, if that follows how fast the motion leaves one of
-        their kinks; if not, at more."""
+        """Fluctuation at the rate of the record, for laws without jumps, or at a multiple that resolves kinks."""
         by = round(self.data.rate_hz / rate_hz)
         while by > 1 and self.data.rate_hz / by < SAMPLES_PER_CYCLE * mean.hz:
             by //= 2
@@ -99,9 +94,10 @@ def fluctuations(
     mean: Sequence[ModalResponse],
     lin: Array,
 ) -> tuple[Fluctuation | Probe | None, ...]:
-    """By place, None without a law there, or where the laws are too strong for the second order.
+    """Fluctuation at every place; None without a law, or where the laws are too strong for the second order.
 
-    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c.
+    uses : laws at the working point. mean : modal response of each place, with the mean tangents of memoryless laws.
+    lin : (places, 3) m, kL, c.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
     remembering = [[u for u in uses if i in u.at and has_nonlinear_memory(u, lin[i])] for i in range(len(mean))]

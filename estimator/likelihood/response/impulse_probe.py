@@ -127,7 +127,7 @@ def _pieces(
     Where the path has a break they keep what they have come to: it is no motion.
     """
     dt = 1.0 / data.rate_hz
-    starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.seen(i)
+    starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.displacement(i)
     for stretch in data.stretches:
         for a in range(stretch.start, stretch.stop, ROWS_PER_PIECE):
             size = min(ROWS_PER_PIECE, stretch.stop - a)

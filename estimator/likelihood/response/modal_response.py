@@ -1,8 +1,7 @@
-"""What a cap does after a push: the response of the mean rotor, shaft and disc included, as a sum of its modes.
+"""Impulse response of a bearing cap as a sum of the modes of the mean rotor, shaft and disc included.
 
-Each cap is taken with the mean tangents of its laws; an impulse of force on it is then answered by
-x(tau) = Re sum_k r_k exp(p_k tau). On a stiff shaft that is far from what the cap would do by itself: of one whose
-bearing is as stiff as the shaft the resonance is at 1250 Hz for 780.
+Every bearing cap has the mean tangents of its laws. The response to an impulse of force is
+x(tau) = Re sum_k r_k exp(p_k tau). On a stiff shaft it differs much from that of the cap alone.
 """
 
 from __future__ import annotations
@@ -24,44 +23,47 @@ MIN_RESIDUE_REL = 1e-6  # of the largest residue; smaller ones are modes of othe
 
 @dataclass(frozen=True, slots=True)
 class ModalResponse:
-    """poles, residues : (modes,) rad/s and m/(N s), of a pair the one above the real axis, doubled."""
+    """Response of one bearing cap to a force on it, as a sum of modes.
+
+    poles : (modes,) rad/s, of each conjugate pair the pole above the real axis. residues : (modes,) m/(N s), doubled
+    for a pair.
+    """
 
     poles: Complexes
     residues: Complexes
 
     @property
     def sound(self) -> bool:
-        """Whether what was pushed comes to rest."""
+        """Whether free motion decays in every mode."""
         return bool(self.poles.real.max() < 0.0)
 
     @property
     def _power(self) -> Array:
-        """(modes,) variance of the displacement that white force makes, by modes apart."""
+        """(modes,) variance of the displacement under white force, up to a factor, mode by mode."""
         return np.asarray(np.abs(self.residues) ** 2 / np.maximum(np.abs(self.poles.real), 1e-9))
 
     @property
     def hz(self) -> float:
-        """Of its main resonance."""
+        """Frequency of the main resonance, Hz."""
         return float(np.abs(self.poles[np.argmax(self._power)]) / (2 * np.pi))
 
     @property
     def decay(self) -> float:
-        """s in which free motion falls by e, in the slowest mode that takes part."""
+        """Time in which free motion falls by e, s, in the slowest mode that contributes."""
         part = self._power > MIN_MODE_POWER_REL * self._power.max()
         return float((-1.0 / self.poles.real[part]).max())
 
     @property
     def quick(self) -> float:
-        """The same in the mean over its modes, by their power."""
+        """Decay time, s, by the mean decay rate over the modes, weighted by power."""
         return float(self._power.sum() / (self._power @ np.abs(self.poles.real)))
 
     def unfinished(self, seconds: float) -> float:
-        """Share of the power of the answer to an impulse that is to come this long after it."""
+        """Share of the power of the impulse response that comes later than `seconds`."""
         return float(self._power @ np.exp(2.0 * seconds * self.poles.real) / self._power.sum())
 
     def over(self, left: float) -> float:
-        """s after an impulse from which on only so much of the power of the answer is to come, of modes that have more,
-        apart."""
+        """Time, s, after which only the share `left` of the power of the impulse response is to come."""
         power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
         part = power > left
         t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), END_SEARCH_POINTS)
@@ -69,38 +71,39 @@ class ModalResponse:
 
     @property
     def stiffness(self) -> float:
-        """N/m at rest."""
+        """Static stiffness, N/m."""
         return float(1.0 / self.at(np.zeros(1)).real[0])
 
     @property
     def width(self) -> float:
-        """N/m, the least dynamic stiffness: that of a resonance, c w0 of a cap by itself."""
+        """Least dynamic stiffness, N/m: that at a resonance, c w0 for a single mass."""
         return float(1.0 / np.abs(self.at(np.abs(self.poles.imag))).max())
 
     def at(self, w: Array) -> Complexes:
-        """(f,) m/N at w rad/s."""
+        """(f,) m/N, compliance at w (f,) rad/s."""
         iw = 1j * w[:, None]
         pairs = self.residues / (iw - self.poles) + self.residues.conj() / (iw - self.poles.conj())
         return np.asarray(0.5 * pairs.sum(axis=1))
 
     def after(self, tau: Array) -> Array:
-        """(2, lags) x and v after an impulse of 1 N s."""
+        """(2, lags) m and m/s, response to an impulse of 1 N s at times tau (lags,) s after it."""
         free = self.residues * np.exp(np.multiply.outer(tau, self.poles))
         return np.stack([free.sum(axis=1).real, (free @ self.poles).real])
 
     def seconds(self, least: float, decays: float) -> float:
-        """Of the record that covariances of its motion need: so many times as its power forgets, and of a mode that
-        rings on with a smaller part of it a tenth as many."""
+        """Length of record that covariances of the motion need, s: `decays` mean decay times, and at least `least`.
+
+        A mode that decays slowly has to fit in a tenth as many times.
+        """
         return max(least, decays * self.quick, SLOWEST_MODE_SHARE * decays * self.decay)
 
     def lags(self, dt: float, most: int) -> int:
-        """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a
-        damping that lets nothing move."""
+        """Number of lags after which free motion has decayed: a power of two of at least 8, or `most`."""
         return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
 def compliance(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
-    """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `modal_responses`."""
+    """(f, places, places) m/N, displacement of each bearing cap per force on each; arguments as `modal_responses`."""
     iw = 1j * w[:, None, None]
     dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
     if disc is not None:
@@ -111,21 +114,24 @@ def compliance(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Dis
 
 
 def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
-    """Indices of the places of each direction, and of their ends of the shaft."""
+    """By direction, the indices of its places and of their ends of the shaft (0, 1)."""
     by = [[i for i, p in enumerate(places) if p.endswith(d)] for d in sorted({p.split(".")[1] for p in places})]
     return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
 
 
 def single_mass_response(m: float, c: float, k: float) -> ModalResponse:
-    """Of one mass by itself."""
+    """Response of a single mass m, kg, on a spring k, N/m, and a damper c, N s/m."""
     return modal_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
 
 
 def modal_responses(
     mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
 ) -> tuple[ModalResponse, ...]:
-    """Of each cap of a rotor. mass : (places,) kg; D : (places, places, 2) mean tangents of displacement and velocity,
-    N/m and N s/m, the shaft's left out. disc : None without a shaft. memories : at a place, as linear_memory.states."""
+    """Response of each bearing cap of a rotor.
+
+    mass : (places,) kg. D : (places, places, 2) mean tangents to displacement and velocity, N/m and N s/m, without the
+    shaft. disc : None without a shaft. memories : place and state matrix of linear laws with memory.
+    """
     n = len(places)
     M, K, C = mass, D[..., 0], D[..., 1]
     if disc is not None:

@@ -1,4 +1,4 @@
-"""One column per parameter of the linear part and of a placed effect, and what of it the base does not say already."""
+"""Regressors: one force per unit and its mean tangent for each parameter of the linear part and of a law."""
 
 from __future__ import annotations
 
@@ -32,14 +32,13 @@ MIN_SINGLE_RMS = 1e-30  # rms per unit that single precision holds (x^5 of a qui
 
 
 class UnitRegressors:
-    """The terms of the amplitudes of the law that was asked for last, on one record: a search looks at a law's gain,
-    and goes on from there."""
+    """Cache of the regressors of the last law on one record: a search asks for the same law twice."""
 
     def __init__(self) -> None:
         self._last: tuple[tuple[str, bytes], list[Regressor]] = ("", b""), []
 
     def of(self, placed: LocatedLaw, made: Callable[[], list[Regressor]]) -> list[Regressor]:
-        """Those of a law of the states, made if they are not known."""
+        """The regressors of a law, made if they are not known."""
         searched = [not q.linear for q in placed.effect.parameters]
         law = placed.key, placed.p[searched].tobytes() + bytes(placed.at)
         last, known = self._last
@@ -50,10 +49,10 @@ class UnitRegressors:
 
 
 def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: bool = False) -> list[Regressor]:
-    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
-    none of a law that is zero all along the record.
+    """Regressors of a law, one per free parameter; none for a law that is zero along the record.
 
-    lin : (places, 3) m, kL, c.
+    The regressor of a linear parameter is the force per unit, that of a searched parameter a central difference.
+    lin : (places, 3) m, kL, c. linear_only : whether to leave out searched parameters.
     """
 
     def law(i: int, p: Array) -> LawAlongPath:
@@ -93,7 +92,7 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
 def with_second_order(
     made: list[Regressor], placed: LocatedLaw, fluctuations: Sequence[Fluctuation | Probe | None]
 ) -> list[Regressor]:
-    """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
+    """Regressors of a law with the second-order correction of their mean response. fluctuations : by place."""
     if placed.effect.kind == "shaft" or not any(fluctuations[i] for i in placed.at):
         return made
     numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
@@ -121,7 +120,7 @@ def with_second_order(
 
 
 def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
-    """The same, remembering what it found at a place for some parameters."""
+    """The function `found` with a cache by place and parameters."""
     known: dict[tuple[int, bytes], T] = {}
 
     def at(i: int, p: Array) -> T:
@@ -164,15 +163,14 @@ def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, f
 
 
 def parameter_scale(placed: LocatedLaw, k: int, data: MotionRecord) -> float:
-    """What a searched parameter has to change by to make another law: its own size; of a shaft order, what turns the
-    end of the record by a radian."""
+    """Scale of a searched parameter: its own size, or the change of a shaft order that turns the end by a radian."""
     if placed.effect.parameters[k].scale == "bpfo":
         return 1.0 / max(float(data.phase[-1]), 1.0)
     return float(abs(placed.p[k]))
 
 
 def _summed(parts: Iterator[Any]) -> Any:
-    """Their sum, in the memory of the first."""
+    """Sum of the parts, in the memory of the first."""
     total = next(parts)
     for part in parts:
         total += part
@@ -180,7 +178,7 @@ def _summed(parts: Iterator[Any]) -> Any:
 
 
 def in_single_precision(term: Regressor) -> Regressor:
-    """The term for keeping: its own series in single precision if that can hold it, views of the record as they are."""
+    """The regressor with its own series in single precision if that can hold it; views of the record stay."""
     if term.scale > 1.0 / MIN_SINGLE_RMS:
         return term
     return replace(
@@ -190,14 +188,19 @@ def in_single_precision(term: Regressor) -> Regressor:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """What the base terms span at one place, each scaled to rms 1: their Gram matrix and tangents."""
+    """Span of the base regressors at one place, each scaled to rms 1.
+
+    base : the k regressors. part : (k, n / PROJECTION_STRIDE) every so manyth sample. gram : (k, k) of part.
+    slopes : (k, places, 2) mean tangents. apart : (k, folds, places, 2) those of time folds less the mean.
+    memory : (k, places, bins) mean responses, see Regressor; None if all are zero.
+    """
 
     base: tuple[Regressor, ...]
-    part: NDArray[np.float32]  # (k, n / STRIDE) of their series
+    part: NDArray[np.float32]
     gram: Array
-    slopes: Array  # (k, places, 2)
-    apart: Array  # (k, folds, places, 2) of those of time folds, see Regressor
-    memory: Complexes | None  # (k, places, bins) more of the response to x, see Regressor
+    slopes: Array
+    apart: Array
+    memory: Complexes | None
 
 
 @njit(cache=True, nogil=True)
@@ -211,7 +214,7 @@ PROJECTION_STRIDE = 4  # every so manyth sample gives the weights of the project
 
 
 def span_at(base: Sequence[Regressor], i: int) -> Span:
-    """The base at place i."""
+    """Span of the base regressors at place i."""
     own = tuple(b for b in base if i in b.series)
     part = np.stack([(b.series[i][::PROJECTION_STRIDE] * b.scale).astype(np.float32) for b in own])
     wide = part.astype(np.float64)
@@ -224,7 +227,7 @@ def span_at(base: Sequence[Regressor], i: int) -> Span:
 
 
 class Spans:
-    """The base's span at every place, made when it is first asked for."""
+    """Span of the base regressors at every place, made on demand."""
 
     def __init__(self, base: Sequence[Regressor]) -> None:
         self._base, self._made = base, dict[int, Span]()
@@ -236,10 +239,10 @@ class Spans:
 
 
 def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regressor | None:
-    """The term without what the base (by place) already explains there, series and tangent alike.
+    """The regressor less its projection on the base, series and tangent alike.
 
-    The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
-    difference in single precision. None if less than `least` of its rms is left: the base says it all.
+    The likelihood is the same function of the new parameter; nearly equal regressors keep their difference in single
+    precision. None if less than `least` of the rms is left.
     """
     series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
     apart = None if term.apart is None else term.apart.copy()
@@ -272,7 +275,7 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
 
 
 def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[LocatedLaw] = ()) -> list[Regressor]:
-    """kL and c of a place. lin : (3,) m, kL, c. uses : laws, some of which may answer by them, as a pedestal does."""
+    """Regressors of kL and c at place i. lin : (3,) m, kL, c. uses : laws; a pedestal responds to kL and c too."""
     P = len(data.places)
     out = []
     for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
@@ -291,14 +294,15 @@ def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[Loc
 
 @dataclass(frozen=True, slots=True)
 class Regressor:
-    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
+    """Force per unit of one parameter along the record, and its mean tangent.
 
-    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
-    places, 2) of those of each time fold less these; None for a term that is the same throughout.
-    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
-    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
-    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
-    which its spectra are multiplied.
+    name : "bearing1.x.kL" ... unit : of the parameter. series : by place index, (n,) N per unit.
+    tangent : (places, places, 2) mean derivative of the force at place i by x and v of place l, per unit.
+    scale : the parameter is multiplied by 1 / scale in the computation, so that the rms of its force is 1.
+    memory : by place index, (places, bins) N/m per unit, further mean response of the force to the displacement of
+    every place: of a law with memory or through the disc, and the second-order correction.
+    apart : (folds, places, places, 2) tangent of each time fold less `tangent`; None if they are equal.
+    shape : (bins,) factor of the spectra of the series; None is 1.
     """
 
     name: str
@@ -312,12 +316,12 @@ class Regressor:
 
 
 def tangent_response(tangent: Array, s: Complexes) -> Complexes:
-    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
+    """(..., bins) kg, response of a mean tangent (..., 2) to acceleration at s = i w (bins,) rad/s."""
     return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
 
 
 def regressor_response(term: Regressor, s: Complexes) -> Complexes:
-    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    """(places, places, bins) kg, response of one scaled unit of a regressor to acceleration at s = i w (bins,)."""
     out = tangent_response(term.tangent, s)
     for i, more in term.memory.items():
         out[i] += more / s**2

@@ -1,4 +1,4 @@
-"""The laws of a force balance dressed by what their tangents fluctuate (self_energy.py), and by sensor noise."""
+"""Second-order correction of the laws of a force balance, and tangent noise from displacement sensors."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from .self_energy import (
 def self_energies(
     record: Record, columns: Columns, B: Array, tangents: Array, f_hz: Array, seconds: float = MIN_COVARIANCE_S
 ) -> Complexes | None:
-    """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
+    """(f, columns, columns) N/m, self-energy per pair of laws at one place: Sigma_j is its sum over k times B_k.
 
-    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where what was pushed does
-    not come to rest. None where the mean tangents of a place are not positive, or no law is there.
+    B : (places, columns) coefficients of the balance. tangents : (columns, 4) mean tangents. 0 where free motion does
+    not decay. None if a mean tangent is not positive, or without laws.
     """
     balance = columns.balance
     D = mean_tangents(balance, B, tangents)
@@ -53,10 +53,10 @@ def self_energies(
 
 @dataclass(frozen=True, slots=True)
 class TangentNoise:
-    """What the noise e of displacement sensors does in the laws, per unit of each law.
+    """Effect of the noise of displacement sensors on the laws, per unit of each law; 0 for other columns and sensors.
 
-    covariance : (places, columns, columns) of the tangents at a place, (N/m)^2. bend : (places, columns) N/m^3, half
-    the curvature of the tangent, from its regression on x^2; both 0 for other columns and sensors.
+    covariance : (places, columns, columns) (N/m)^2, of the tangents at a place. bend : (places, columns) N/m^3, half
+    the curvature of the tangent, from its regression on x^2.
     """
 
     covariance: Array
@@ -64,11 +64,11 @@ class TangentNoise:
 
 
 def tangent_noise(record: Record, columns: Columns, seconds: float = MIN_COVARIANCE_S) -> TangentNoise | None:
-    """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
+    """Tangent noise of the laws; None without a displacement sensor (integrated noise of other sensors is small).
 
-    The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
-    fluctuates it adds white noise to the column of the law, which least squares would bend the law to shrink. The
-    second part has the mean <e^2> phi'' / 2, which looks like a stiffness.
+    Sensor noise e enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is part of A. The
+    fluctuation of the tangent adds white noise to the column of the law, which biases least squares (errors in
+    variables). The second part has the mean <e^2> phi'' / 2, which acts as a stiffness.
     """
     balance = columns.balance
     covariance = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))

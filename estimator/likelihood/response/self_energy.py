@@ -7,10 +7,13 @@ and K = sum beta_k kappa_k, to second order
 
     < phi_j' G > = (<phi_j'> - Sigma_j) <G>,    Sigma_j(f) = FT[ C_jK(tau) g(tau) ],   tau > 0,
 
-C_jK the covariance of kappa_j with K a time tau before, g the impulse response, itself dressed by K. Over all
-frequencies Sigma_j adds nothing (causality), but it moves the response to a law from low to high frequencies: for
-Coulomb friction, whose tangent is a train of impulses, 5 % of it leaves a band of 8 kHz, and the friction would come
-out 15 % too high.
+C_jK the covariance of kappa_j with K a time tau before, g the impulse response, itself corrected by K. Over all
+frequencies Sigma_j adds nothing (causality), but it moves the response of a law from low to high frequencies. The
+largest effect is that of Coulomb friction, whose tangent is a train of impulses.
+
+References
+----------
+Novikov, Functionals and the random-force method in turbulence theory, JETP 20, 1965. Furutsu, J. Res. NBS 67D, 1963.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ MAX_POWER_AFTER_LAGS = 0.02  # share of the power of free motion after the last 
 
 
 def tangent_spectra(tangents: NDArray[np.floating], lags: int) -> TangentSpectra:
-    """(pieces, lags + 1) each of tangents along x and v, (2, blocks, n), in pieces of `lags`; None where they are 0."""
+    """Spectra (pieces, lags + 1) of tangents along x and v, (2, blocks, n), in pieces of `lags`; None if 0."""
     from scipy.fft import rfft
 
     n = tangents.shape[2] // lags * lags
@@ -54,7 +57,7 @@ def _cross(Z, K):  # type: ignore[no-untyped-def]
 
 
 def tangent_covariance(Z: TangentSpectra, K: TangentSpectra, lags: int) -> Array:
-    """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra by as many lags."""
+    """(2, 2, lags) covariance <kappa_a(t + lag) K_b(t)>, a and b along x and v, from spectra by as many lags."""
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
         if (z := Z[a]) is not None and (k := K[b]) is not None:
@@ -63,10 +66,10 @@ def tangent_covariance(Z: TangentSpectra, K: TangentSpectra, lags: int) -> Array
 
 
 def second_order_response(total: Array, dt: float, mean: ModalResponse) -> Array | None:
-    """(2, lags) impulse response of x and v, dressed by its own self-energy (causal at any strength of K).
+    """(2, lags) impulse response of x and v, corrected by its own self-energy (causal at any strength of K).
 
-    total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing, or what was
-    pushed does not come to rest within the lags.
+    total : (2, 2, lags) covariance of K. None if K is too strong for the second order, or if free motion does not decay
+    within the lags.
     """
     lags = total.shape[2]
     if not mean.sound or mean.unfinished(lags * dt) > MAX_POWER_AFTER_LAGS:
@@ -84,7 +87,7 @@ def second_order_response(total: Array, dt: float, mean: ModalResponse) -> Array
 
 
 def _transform(C: Array, g: Array, dt: float) -> Complexes:
-    """(lags + 1,) FT of C g, x and v together, on its own grid of frequencies."""
+    """(lags + 1,) Fourier transform of C g, x and v together, on its own grid of frequencies."""
     lags = C.shape[2]
     tau, iw = np.arange(lags) * dt, 2j * np.pi * np.fft.rfftfreq(2 * lags, dt)
     weight = np.exp(-((tau / (0.8 * tau[-1])) ** 8)) * dt
@@ -94,7 +97,7 @@ def _transform(C: Array, g: Array, dt: float) -> Complexes:
 
 
 def self_energy(C: Array, g: Array, dt: float, f_hz: Array) -> Complexes:
-    """(f,) N/m per unit of the law: Sigma_j at f_hz from C = C_jK (2, 2, lags) and the dressed response g."""
+    """(f,) N/m per unit of the law, self-energy from C = C_jK (2, 2, lags) and the corrected response g (2, lags)."""
     f = np.fft.rfftfreq(2 * C.shape[2], dt)
     z = _transform(C, g, dt)
     return np.asarray(np.interp(f_hz, f, z.real) + 1j * np.interp(f_hz, f, z.imag))

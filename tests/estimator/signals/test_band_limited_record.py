@@ -39,7 +39,7 @@ def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
 def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.MonkeyPatch) -> None:
     y = rig_record(8.0, seed=1)
     small = analyse(rig_model("cubic"), y, RATE)
-    monkeypatch.setattr(band_limited_record, "LARGE", 1e6)
+    monkeypatch.setattr(band_limited_record, "MAX_HELD_BYTES", 1e6)
     large = analyse(rig_model("cubic"), y, RATE)
     assert isinstance(large.record.motion, BandLimitedRecord)
     for place in PLACES:

@@ -68,7 +68,9 @@ def test_the_order_is_as_certain_as_it_says() -> None:
     rng = np.random.default_rng(4)
     n, rate, speed = 1 << 16, 12800.0, 300.0
     t = np.arange(n) / rate
-    data = SimpleNamespace(speed=speed, rate_hz=rate, phase=speed * t, t=t, places=("a",), driven=np.zeros(1))
+    data = SimpleNamespace(
+        speed=speed, rate_hz=rate, phase=speed * t, t=t, places=("a",), measured_force_psd=np.zeros(1)
+    )
     scores = []
     for order in rng.uniform(2.1, 3.9, 60):
         x = rng.normal(size=n)

@@ -24,7 +24,7 @@ def test_a_law_of_the_model_is_no_column_of_its_own_in_noise(name: str, column: 
     values = strengths(effect, size(rig, "bearing1.x", RATE), 0.06, rig, 4.0)
     model = with_effect(rig, effect, values, "bearing1.x")
     point = fit_all_effects(model, simulate(model, RATE, 4.0, seed=2, noise=0.6), RATE).point
-    assert point.data.calm is not None
+    assert point.data.denoise_correction is not None
     problem, _ = group_pool(point, 0, (1.0,))
     names = ["", *problem.base, *problem.extra]
     rows = [k for k, name in enumerate(names) if name.endswith(OWN) or name == column]

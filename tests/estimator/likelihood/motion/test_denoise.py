@@ -49,10 +49,10 @@ def test_the_error_is_as_said_and_tells_nothing_of_what_is_seen(kind: str) -> No
         fit_model(motion_record(model, y[:, None], RATE), []).data,
         motion_record(model, measured[:, None], RATE),
     )
-    off = truth.x[0] - data.calmed(0)
+    off = truth.x[0] - data.denoised_displacement(0)
     assert off.std() < 0.8 * (truth.x[0] - data.x[0]).std()
-    assert np.asarray(data.doubt)[0, 0] == pytest.approx(off.std(), rel=0.15)
-    assert abs(np.corrcoef(off, data.calmed(0))[0, 1]) < 0.03
+    assert np.asarray(data.denoise_sd)[0, 0] == pytest.approx(off.std(), rel=0.15)
+    assert abs(np.corrcoef(off, data.denoised_displacement(0))[0, 1]) < 0.03
 
 
 def test_the_fit_sees_the_same_as_compare() -> None:
@@ -63,13 +63,15 @@ def test_the_fit_sees_the_same_as_compare() -> None:
     data = fit_model(motion_record(model, y[:, None], RATE), []).data
     record, start = start_without_lines(prepare(model, y[:, None], RATE))
     assert record.calm is not None
-    assert np.asarray(data.doubt)[0] == pytest.approx(record.calm.doubt[0], rel=0.2)
+    assert np.asarray(data.denoise_sd)[0] == pytest.approx(record.calm.doubt[0], rel=0.2)
     assert (start.widths >= record.calm.doubt).all()
     rows = slice(20_000, 30_000)
     part = record.stretch(rows.start, rows.stop)
     there = int(np.argmin(np.abs(data.t - rows.start / RATE)))
-    own = data.calmed(0)[there : there + 10_000]
-    assert np.std(own - part.calmed(0)[MARGIN_ROWS:-MARGIN_ROWS]) < 0.15 * np.std(data.x[0] - data.calmed(0))
+    own = data.denoised_displacement(0)[there : there + 10_000]
+    assert np.std(own - part.calmed(0)[MARGIN_ROWS:-MARGIN_ROWS]) < 0.15 * np.std(
+        data.x[0] - data.denoised_displacement(0)
+    )
 
 
 @pytest.mark.parametrize(("kind", "share"), [("acceleration", 0.001), ("displacement", 0.1)])
@@ -79,8 +81,8 @@ def test_little_noise_and_that_of_displacement_sensors_leave_the_motion_as_it_is
     y = measured_by(kind, x)
     y = y + share * y.std() * np.random.default_rng(2).normal(size=x.size)
     data = fit_model(motion_record(model, y[:, None], RATE), []).data
-    assert data.calm is None
-    assert np.array_equal(data.calmed(0), data.seen(0))
+    assert data.denoise_correction is None
+    assert np.array_equal(data.denoised_displacement(0), data.displacement(0))
     assert start_without_lines(prepare(model, y[:, None], RATE))[0].calm is None
 
 
@@ -131,10 +133,10 @@ def test_beside_a_measured_force_a_law_acts_along_the_likeliest_motion() -> None
     noise = np.random.default_rng(0).normal(size=y.shape) * np.array([0.05, 0.002])
     whole = fit_all_effects(blank, y + noise, RIG_RATE)
     data, clean = whole.point.data, motion_record(blank, y, RIG_RATE).x[0]
-    assert data.calm is not None
-    off = np.std(data.x[0] + data.calm[0] - clean)
+    assert data.denoise_correction is not None
+    off = np.std(data.x[0] + data.denoise_correction[0] - clean)
     assert off < 0.03 * np.std(data.x[0] - clean)
-    assert np.asarray(data.doubt)[0, 0] == pytest.approx(off, rel=0.1)
+    assert np.asarray(data.denoise_sd)[0, 0] == pytest.approx(off, rel=0.1)
     for name, truth in (("kL", 1e7), ("c", 60.0), ("cubic.kNL", 3e18)):
         found = whole.parameters[f"{place}.{name}"]
         assert found.sd

@@ -170,7 +170,7 @@ def test_answers_do_not_depend_on_the_pieces_they_are_followed_in(monkeypatch: p
     mean = single_mass_response(0.2, 60.0, 9e6)
     whole = probed(data, data.f_hz, 0, [law], mean, lin)
     assert isinstance(whole, Probe)
-    monkeypatch.setattr(impulse_probe, "PIECE", whole.lags)
+    monkeypatch.setattr(impulse_probe, "ROWS_PER_PIECE", whole.lags)
     pieces = probed(data, data.f_hz, 0, [law], mean, lin)
     assert isinstance(pieces, Probe)
     assert np.linalg.norm(pieces.whole - whole.whole) < 1e-3 * np.linalg.norm(whole.whole)

@@ -56,7 +56,7 @@ def test_the_force_is_that_of_the_periodic_disc(share: float) -> None:
     x = np.real(tones @ np.exp(1j * np.outer(w, t))) * 1e-7
     data = SimpleNamespace(
         x=x, t=t, phase=turn * t, places=("bearing1.x", "bearing2.x"), bins=np.arange(5), f_hz=100.0 + np.arange(5),
-        rate_hz=RATE_HZ, disc=disc, opposite=lambda i: 1 - i, calm=None,
+        rate_hz=RATE_HZ, disc=disc, opposite=lambda i: 1 - i, denoise_correction=None,
     )  # fmt: skip
     faint = share < 1e-3
     seen = disc.blurred() if faint else disc
@@ -87,7 +87,7 @@ def test_noise_of_the_sensors_at_the_discs_resonance_makes_no_sidebands() -> Non
         data = SimpleNamespace(
             x=noise, t=t, phase=2 * np.pi * turn * np.arange(n) / n, places=("bearing1.x", "bearing2.x"),
             bins=np.arange(5), f_hz=100.0 + np.arange(5), rate_hz=RATE_HZ, disc=disc, opposite=lambda i: 1 - i,
-            calm=calm,
+            denoise_correction=calm,
         )  # fmt: skip
         force, _ = shaft_force(CRACK, 0.05 * disc.K * np.array([1.0, 0.6, 0.8]), data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
         return float(np.abs(np.fft.rfft(force)[[cycle - turn, cycle + turn]]).sum())

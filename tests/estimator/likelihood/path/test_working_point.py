@@ -63,7 +63,7 @@ def test_what_laws_do_not_see_is_that_of_the_rotor_behind_strong_noise() -> None
     data = prepare(rig, simulate(rig, RATE, 8.0, seed=4, noise=float(rms)), RATE)
     own = band_limit.out_of_band_sd(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
     point = gauss_newton.fit_model(data, located_laws(rig, data))
-    assert point.data.left_out[1] == pytest.approx(own[0], rel=0.1)
+    assert point.data.out_of_band_sd[1] == pytest.approx(own[0], rel=0.1)
 
 
 def test_without_its_rows_a_fit_says_the_same_and_another_begins_from_it() -> None:

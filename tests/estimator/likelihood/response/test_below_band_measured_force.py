@@ -66,7 +66,7 @@ def test_the_force_tells_what_the_accelerometer_does_not(k5: float) -> None:
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)
     law = LocatedLaw(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([k5]), (True,))
-    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), [law]).seen(0)
+    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), [law]).displacement(0)
     left = x[rows] - data.x[0]
     assert left.std() > 0.06 * x.std()
     assert (x[rows] - seen).std() < 0.25 * left.std(), "but what drifts"
@@ -76,16 +76,16 @@ def test_what_is_said_to_be_left_out_is() -> None:
     x, y = record(0.0)
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)
-    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), []).seen(0)
+    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), []).displacement(0)
     one = np.array([MASS]), np.array([C]), np.array([KL]), np.zeros(1), BAND, RATE, ("acceleration",)
-    np.testing.assert_allclose(out_of_band_sd(*one, data.driven)[0, 0], (x[rows] - seen).std(), rtol=0.5)
+    np.testing.assert_allclose(out_of_band_sd(*one, data.measured_force_psd)[0, 0], (x[rows] - seen).std(), rtol=0.5)
 
 
 def test_a_resonance_below_the_band_is_none_of_its_business() -> None:
     data = prepare(replace(rig(), band=(60.0, 400.0)), record(0.0)[1], RATE)
-    assert data.shaken is not None
+    assert data.below_band_force is not None
     let_go = with_below_band_motion(data, np.array([KL]), np.array([C]), [])
-    assert let_go.shaken is None
+    assert let_go.below_band_force is None
     assert let_go.slow is None
 
 

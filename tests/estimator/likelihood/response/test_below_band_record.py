@@ -54,7 +54,7 @@ def test_and_so_it_is_where_a_model_is_compared() -> None:
     data = cut_record.prepare(model, y, RATE)
     rows = np.round(data.t * RATE).astype(int)
     assert data.slow is not None
-    now, left = x[rows] - data.seen(0), x[rows] - data.x[0]
+    now, left = x[rows] - data.displacement(0), x[rows] - data.x[0]
     assert now.std() < 0.4 * left.std()
     assert with_below_band_motion(data, np.ones(1), np.ones(1), ()).slow is data.slow
 
