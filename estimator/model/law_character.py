@@ -1,7 +1,8 @@
 """What a force law depends on, its parity and its power, found by evaluating the law at a few states.
 
-The law is scalar and plain, so no compiler is needed. Amplitudes are 1, searched parameters have their defaults. States
-reach four times beyond the largest length and velocity among the parameters.
+The law is scalar and plain, so no compiler is needed. Each amplitude is 1 in turn, the others 0: the parts of
+amplitudes of different units have any size. Searched parameters have their defaults. States reach four times beyond the
+largest length and velocity among the parameters.
 """
 
 from __future__ import annotations
@@ -56,11 +57,11 @@ def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None
     """n of an amplitude times x^n; None of any other law."""
     if len(parameters) != 1 or not parameters[0].linear or law_state(force, parameters, False) != "displacement":
         return None
-    one, two, opposite = (_forces(force, parameters, np.eye(6)[:1] * x) for x in (1.0, 2.0, -1.0))
+    one, two, opposite = (_forces(force, parameters, np.eye(6)[:1] * x)[:, 0] for x in (1.0, 2.0, -1.0))
     n = round(float(np.log2(abs(two[0] / one[0])))) if one[0] * two[0] > 0.0 else 0
     is_power = n > 0 and _same(two, one * 2.0**n) and _same(opposite, one * (-1.0) ** n)
     states = _states(parameters, False)
-    return n if is_power and _same(_forces(force, parameters, states), one[0] * states[:, 0] ** n) else None
+    return n if is_power and _same(_forces(force, parameters, states)[:, 0], one[0] * states[:, 0] ** n) else None
 
 
 def steps_at_rest(force: Force, parameters: Sequence[EffectParameter]) -> bool:
@@ -68,10 +69,10 @@ def steps_at_rest(force: Force, parameters: Sequence[EffectParameter]) -> bool:
     if law_state(force, parameters, False) != "velocity":
         return False
     states = _states(parameters, False)
-    largest = np.abs(_forces(force, parameters, states)).max()
+    largest = np.abs(_forces(force, parameters, states)).max(axis=0)
     near = np.abs(states[:1]) * [1.0, STEP_STATE_REL, 1.0, 1.0, 1.0, 1.0]
     ahead, behind = (_forces(force, parameters, near * [1, side, 1, 1, 1, 1])[0] for side in (1, -1))
-    return bool(abs(ahead - behind) > STEP_FORCE_REL * largest)
+    return bool(np.any(np.abs(ahead - behind) > STEP_FORCE_REL * largest))
 
 
 @cache
@@ -100,22 +101,22 @@ def _states(parameters: Sequence[EffectParameter], one_direction: bool) -> Array
 
 
 def _forces(force: Force, parameters: Sequence[EffectParameter], states: Array) -> Array:
-    """(n,) the law at states (n, 6) in direction x; NaN where plain arithmetic fails."""
-    p = [1.0 if q.linear else q.default for q in parameters]
+    """(n, amplitudes) the parts of the law at states (n, 6) in direction x; NaN where plain arithmetic fails."""
+    amplitudes = [k for k, q in enumerate(parameters) if q.linear] or [-1]
 
-    def at_state(z: list[float]) -> float:
+    def at_state(z: list[float], amplitude: int) -> float:
+        p = [float(k == amplitude) if q.linear else q.default for k, q in enumerate(parameters)]
         try:
             return float(force(*z, 1.0, p))
         except (ArithmeticError, ValueError):
             return float("nan")
 
-    return np.array([at_state(z) for z in states.tolist()])
+    return np.array([[at_state(z, k) for k in amplitudes] for z in states.tolist()])
 
 
 def _same(a: Array, b: Array) -> bool:
-    """Whether two series of forces are equal but for rounding, where both are finite."""
+    """Whether two series of forces, (n,) or (n, parts), are equal but for rounding, where both are finite."""
     finite = np.isfinite(a) & np.isfinite(b)
-    if not finite.any():
-        return True
-    a, b = a[finite], b[finite]
-    return bool(np.abs(a - b).max() <= TOLERANCE_REL * max(np.abs(a).max(), np.abs(b).max()))
+    a, b = np.where(finite, a, 0.0), np.where(finite, b, 0.0)
+    largest = np.maximum(np.abs(a), np.abs(b)).max(axis=0)
+    return bool(np.all(np.abs(a - b).max(axis=0) <= TOLERANCE_REL * largest))

@@ -32,9 +32,8 @@ from estimator.likelihood.response.regressor_set import (
     regressors,
     with_second_order,
 )
+from estimator.model.effect import Effect
 from estimator.parallel import map_processes
-
-from .gate_shape import STATE_TERMS
 
 UPPER_SHARE = 0.2  # of the samples: the upper windows
 WINDOW_SAMPLES = 1024  # blocks are a multiple of it
@@ -64,9 +63,9 @@ def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
     return np.asarray(np.repeat(level > np.quantile(level, 1.0 - UPPER_SHARE), WINDOW_SAMPLES), dtype=np.bool_)
 
 
-def is_displacement_law(effect: str) -> bool:
-    """Whether an effect is a law of displacement, which alone can be judged so."""
-    return effect in STATE_TERMS and STATE_TERMS[effect][0][0] == "x"
+def is_displacement_law(effect: Effect | None) -> bool:
+    """Whether an effect is a law of displacement at a bearing cap, which alone can be judged so."""
+    return effect is not None and effect.kind == "force" and effect.state == "displacement"
 
 
 def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:

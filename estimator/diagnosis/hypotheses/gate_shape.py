@@ -18,6 +18,7 @@ from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record
 from estimator.likelihood.path.subproblem import likelihood_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Regressor, in_single_precision, orthogonalised
+from estimator.model.effect import Effect
 from estimator.parallel import map_threads
 
 StateTerms = tuple[tuple[str, tuple[int, ...]], ...]  # states, and the orders of their Hermite polynomials
@@ -26,26 +27,37 @@ EVEN_VELOCITY_TERMS = ("v", (2, 4, 6))  # of no law: what they explain passes fo
 ODD_X_TERMS: StateTerms = (("x", ODD_ORDERS),)
 ONE_SIDED_TERMS: StateTerms = (("x", tuple(range(2, 10))), EVEN_VELOCITY_TERMS)
 VELOCITY_TERMS: StateTerms = (("v", ODD_ORDERS[:3]), EVEN_VELOCITY_TERMS)
-# by law, the terms of its own state first; terms even in x beside a law odd in x belong to another law
-STATE_TERMS = dict.fromkeys(("cubic", "quintic", "clearance", "hertz"), ODD_X_TERMS)
-STATE_TERMS |= dict.fromkeys(("quadratic", "stop"), ONE_SIDED_TERMS)
-STATE_TERMS |= dict.fromkeys(("coulomb", "quadratic_damping"), VELOCITY_TERMS)
+ONE_WAY_TERMS: StateTerms = (("v", tuple(range(2, 8))),)  # of a law of velocity that is not odd
 
 
-def own_state(effect: str) -> str:
+def polynomial_terms(effect: Effect | None) -> StateTerms:
+    """Smooth terms that gain nothing together with the right law, those of its own state first.
+
+    Empty for an effect that is no force of a single state on a bearing cap. Terms even in x together with a law odd in
+    x belong to another law.
+    """
+    if effect is None or effect.kind != "force" or effect.state not in ("displacement", "velocity"):
+        return ()
+    is_odd = effect.parity == "odd"
+    if effect.state == "displacement":
+        return ODD_X_TERMS if is_odd else ONE_SIDED_TERMS
+    return VELOCITY_TERMS if is_odd else ONE_WAY_TERMS
+
+
+def own_state(effect: Effect) -> str:
     """ "displacement" or "velocity": the state that the misfit of a law is drawn against."""
-    return {"x": "displacement", "v": "velocity"}[STATE_TERMS[effect][0][0] if effect in STATE_TERMS else "x"]
+    return "velocity" if effect.state == "velocity" else "displacement"
 
 
-def max_misfit_rel(effect: str, otherwise: float) -> float:
+def max_misfit_rel(effect: Effect | None, otherwise: float) -> float:
     """Largest misfit of the right law. otherwise : of a law of no single state."""
-    if effect == "coulomb":
+    if effect is not None and effect.steps_at_rest:
         return THRESHOLDS.friction_misfit_max_rel
-    return THRESHOLDS.misfit_max_rel if effect in STATE_TERMS else otherwise
+    return THRESHOLDS.misfit_max_rel if polynomial_terms(effect) else otherwise
 
 
 def misfit_rel(
-    before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int],
+    before: WorkingPoint, after: WorkingPoint, effect: Effect | None, places: set[int],
     level: float = THRESHOLDS.misfit_max_p_value, least: float = 0.0,
 ) -> float | None:  # fmt: skip
     """rms force that smooth terms explain together with the law, over that without the law.
@@ -53,9 +65,10 @@ def misfit_rel(
     0 if it is not significant, by level (p-value). None for effects of no single state. least : N^2 that the law
     explains, used where it is more: terms of one direction cannot do what a law of two directions does.
     """
-    if effect not in STATE_TERMS:
+    asked = polynomial_terms(effect)
+    if not asked:
         return None
-    own, *others = (_misfit_of_terms(before, after, places, *terms, level, least) for terms in STATE_TERMS[effect])
+    own, *others = (_misfit_of_terms(before, after, places, *terms, level, least) for terms in asked)
     return max([own, *(rest for rest in others if rest > THRESHOLDS.other_terms_misfit_min_rel)])
 
 
@@ -85,18 +98,14 @@ def _damped(point: WorkingPoint, i: int, state: str) -> float:
 
 def damping_laws(point: WorkingPoint, places: set[int]) -> list[LocatedLaw]:
     """The laws of velocity that a model has at places."""
-    return [
-        u
-        for u in point.placed
-        if places.intersection(u.at) and STATE_TERMS.get(u.effect.name, ODD_X_TERMS) is VELOCITY_TERMS
-    ]
+    return [u for u in point.placed if places.intersection(u.at) and u.effect.state == "velocity"]
 
 
-def smooth_gains_nats(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
+def smooth_gains_nats(point: WorkingPoint, effect: Effect | None, places: set[int]) -> dict[int, float]:
     """By place, nats that smooth terms gain together with an effect, less one for each term; where that is positive."""
     earned: dict[int, float] = {}
     for i in places:
-        for state, orders in STATE_TERMS.get(effect, ()):
+        for state, orders in polynomial_terms(effect):
             _, nats, count = polynomial_power(point, i, state, orders)
             if nats > count:
                 earned[i] = max(earned.get(i, 0.0), nats - count)

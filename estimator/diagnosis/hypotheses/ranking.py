@@ -18,6 +18,7 @@ from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.effect import Effect
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter
 
@@ -57,6 +58,11 @@ class Entry:
     notes: tuple[Message, ...] = ()
     amplitude_gain: float | None = None
     by_node: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def law(self) -> Effect | None:
+        """The effect of its force law; None of an effect that is no force law."""
+        return self.placed[0].effect if self.placed else None
 
     @property
     def places(self) -> set[int]:

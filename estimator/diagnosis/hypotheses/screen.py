@@ -89,7 +89,7 @@ def amplitude_checked(found: Ranking) -> list[Entry]:
             not passed
             and number < MAX_RANK_JUDGED
             and entry.p_value < THRESHOLDS.max_p_value
-            and gate_amplitude.is_displacement_law(entry.effect)
+            and gate_amplitude.is_displacement_law(entry.law)
         )
         told = gate_amplitude.extrapolated(found.part, entry.placed) if asked and entry.placed else None
         if told is None:

@@ -21,6 +21,7 @@ from estimator.diagnosis.hypotheses.screen import (
     rank_on_record,
 )
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.effects import found_by
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine.harmonic_fit import fit_found_harmonics
@@ -135,7 +136,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     if found.verdict in SPECTRAL_SHAPES:
         say(0.9, f"does {found.verdict} explain it?")
         return _judged_spectrum(model, point, y, before, found)
-    if found.verdict == "sensor_clipping":
+    if found_by(found.verdict) == "samples":
         best, *others = found.ranking
         best = gate_spectrum.with_restored_samples(model, point, y, before, best)
         return replace(found, ranking=(best, *others))
@@ -152,7 +153,7 @@ def _ranked(
     found = rank_on_part(model, point, y, say)
     say(0.58, "largest amplitudes")
     entries, known = amplitude_checked(found), None
-    if _is_claimed(entries) and entries[0].effect in gate_shape.STATE_TERMS:
+    if _is_claimed(entries) and gate_shape.polynomial_terms(entries[0].law):
         say(0.6, f"does {entries[0].effect} explain it?")
         with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
             known = gate_residual.fit_on_part(found.part, point, found.before, entries[0])
@@ -169,7 +170,7 @@ def verdict_of_ranking(
     if not _is_claimed(entries) or _is_negligible(point, entries[0]):
         return verdict_without_law(point, before, tuple(entries))
     best = entries[0]
-    if best.placed and best.effect != "crack" and _shaft_loss(entries)[1] > best.gain:
+    if best.law is not None and best.law.kind != "shaft" and _shaft_loss(entries)[1] > best.gain:
         return verdict_without_law(point, before, tuple(entries))
     if not best.placed:
         if best.effect in PERIODIC_EFFECTS:
@@ -194,13 +195,13 @@ def _judged_spectrum(model: Model, point: WorkingPoint, y: Array, before: Missin
 
 
 def _shaft_loss(entries: Sequence[Entry]) -> tuple[float, float]:
-    """Mean stiffness that the shaft lacks, N/m, and its evidence, nats, from the trial of a crack.
+    """Mean stiffness that the shaft lacks, N/m, and its evidence, nats, from the trial of a law of the shaft.
 
     A mean loss without a part that turns with the shaft means that the rig file has another shaft.
     """
     for entry in entries:
-        loss = entry.parameters.get("disc.crack.loss")
-        if loss is not None and loss.value and loss.sd:
+        loss = entry.parameters.get(f"{entry.placed[0].key}.loss") if entry.placed else None
+        if entry.law is not None and entry.law.kind == "shaft" and loss is not None and loss.value and loss.sd:
             return loss.value, 0.5 * (loss.value / loss.sd) ** 2
     return 0.0, 0.0
 
@@ -233,9 +234,10 @@ def verdict_of_laws(
         # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
         two = not found.passed or (
             found.misfit_rel <= THRESHOLDS.misfit_max_rel
-            and gate_second_law.LAW_FAMILIES.get(name) in gate_second_law.X_FAMILIES
+            and gate_second_law.law_family(entries[k].law) in gate_second_law.X_FAMILIES
         )
-        if two and found.misfit_rel > gate_second_law.PAIR_MISFIT_MAX_REL and (not left or "stop" in left):
+        mixed = any(gate_second_law.is_odd_and_even(e.law) for e in entries if e.effect in left)
+        if two and found.misfit_rel > gate_second_law.PAIR_MISFIT_MAX_REL and (not left or mixed):
             part = point_on_part(point, missing_force.SURVEY_S)
             pair = gate_second_law.of_one_state(model, part, point, entries[k:])
             if pair is not None:
@@ -254,7 +256,7 @@ def verdict_of_laws(
     return Diagnosis(
         "unknown",
         tuple(entries),
-        missing_force_curve(point, before, (best.placed[0].at[0], gate_shape.own_state(best.effect))),
+        missing_force_curve(point, before, (best.placed[0].at[0], gate_shape.own_state(best.placed[0].effect))),
         messages=(Message("nearest_leaves", text), *_clipped(entries)),
     )
 
@@ -285,24 +287,22 @@ def _named_pair(
 
 def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
     """Notes on clipped channels, for a verdict on a law with more evidence than clipping can make."""
-    return tuple(note for e in entries if e.effect == "sensor_clipping" for note in e.notes)
+    return tuple(note for e in entries if found_by(e.effect) == "samples" for note in e.notes)
 
 
 def _rivals(entries: list[Entry]) -> list[int]:
     """Indices of the ranked entries that may be the true law although another one is first.
 
     They are the first entry; force laws so close behind that a law of the wrong shape may have passed them by its
-    number of parameters; and the first law behind a stop that is odd or even, as a stop is both.
+    number of parameters; and the first law odd or even in x behind one that is both.
     """
     least = entries[0].score - THRESHOLDS.rival_nats
     sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < THRESHOLDS.max_p_value]
     near = [k for k in sure if k < MAX_RANK_JUDGED and entries[k].score > least]
     halves = [
-        k
-        for k in sure
-        if k not in near and gate_second_law.LAW_FAMILIES.get(entries[k].effect) in gate_second_law.X_FAMILIES
+        k for k in sure if k not in near and gate_second_law.law_family(entries[k].law) in gate_second_law.X_FAMILIES
     ]
-    return near + halves[:1] if entries[0].effect == "stop" else near
+    return near + halves[:1] if gate_second_law.is_odd_and_even(entries[0].law) else near
 
 
 def _passed_over(left: dict[str, float]) -> tuple[Message, ...]:

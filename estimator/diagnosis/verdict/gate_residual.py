@@ -70,7 +70,7 @@ def fit_on_part(part: WorkingPoint, point: WorkingPoint, before: MissingForce, e
     """A law fitted to part of the record of a working point. Raises NotFiniteError where the fit diverges."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    left = gate_shape.misfit_rel(part, after, entry.effect, entry.places, least=_across(part, entry))
+    left = gate_shape.misfit_rel(part, after, entry.law, entry.places, least=_across(part, entry))
     far = missing and left is not None and left > THRESHOLDS.part_misfit_ratio * _max_misfit_rel(part, entry)
     needed = far or part is point
     return PartFit(
@@ -112,7 +112,7 @@ def _gate_result(
         if found is None:
             return GateResult(replace(entry, notes=(*entry.notes, REFUSED_INSIGNIFICANT)), None)
         entry, after_point = found
-        smooth = gate_shape.misfit_rel(point, after_point, entry.effect, entry.places, least=_across(point, entry))
+        smooth = gate_shape.misfit_rel(point, after_point, entry.law, entry.places, least=_across(point, entry))
     del known
     joint = fitted_parameters(
         after_point
@@ -132,7 +132,7 @@ def _gate_result(
         whole = gate_second_law.another_explains(
             after_part, gate_second_law.others(model, after_part, after, entry), after, entry
         )
-    if whole and left > THRESHOLDS.misfit_max_rel and entry.placed and entry.placed[0].effect.steps_at_rest:
+    if whole and left > THRESHOLDS.misfit_max_rel and entry.law is not None and entry.law.steps_at_rest:
         note = Message(
             "friction_not_sharp", f"{100 * left:.0f} % of the velocity-dependent force is left: {STEP_NOT_SHARP}"
         )
@@ -146,12 +146,11 @@ def _max_misfit_rel(point: WorkingPoint, entry: Entry) -> float:
     A law of two directions leaves more where one of them is not measured. So does a law of velocity together with
     another law of velocity in the model.
     """
-    most = gate_shape.max_misfit_rel(entry.effect, THRESHOLDS.stateless_misfit_max_rel)
+    most = gate_shape.max_misfit_rel(entry.law, THRESHOLDS.stateless_misfit_max_rel)
     if any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed):
         return max(most, THRESHOLDS.one_direction_misfit_max_rel)
-    beside = gate_shape.STATE_TERMS.get(entry.effect) is gate_shape.VELOCITY_TERMS and gate_shape.damping_laws(
-        point, entry.places
-    )
+    of_velocity = entry.law is not None and entry.law.state == "velocity"
+    beside = of_velocity and gate_shape.damping_laws(point, entry.places)
     return max(most, THRESHOLDS.stateless_misfit_max_rel) if beside else most
 
 

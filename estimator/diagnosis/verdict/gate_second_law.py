@@ -18,6 +18,7 @@ from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.gauss_newton import FIRST_PART_S, fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, trial_effects
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part, search_point
+from estimator.model.effect import Effect
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 
@@ -31,23 +32,36 @@ PAIR_MISFIT_MAX_REL = (
 PAIR_MISFIT_MIN_P_VALUE = (
     0.05  # p-value of what they leave, from which it is nothing: a smooth odd curve left 0.03, p 0.02
 )
-LAW_FAMILIES = {
-    "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
-    "quadratic": "even in x", "stop": "even in x",
-    "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
-}  # fmt: skip
 X_FAMILIES = ("odd in x", "even in x")
+
+
+def law_family(effect: Effect | None) -> str:
+    """Family of laws that may take each other's part: "odd in x", "even in x" (in part, too), "damping".
+
+    Any other law is its own family, by its name. "" of an effect that is no force law.
+    """
+    if effect is None:
+        return ""
+    if effect.kind == "force" and effect.state == "displacement":
+        return "odd in x" if effect.parity == "odd" else "even in x"
+    is_damping = effect.kind == "memory" or (effect.kind == "force" and effect.state in ("velocity", "both"))
+    return "damping" if is_damping else effect.name
+
+
+def is_odd_and_even(effect: Effect | None) -> bool:
+    """Whether a law of displacement is partly odd and partly even: it may pass for two laws that are one of each."""
+    return law_family(effect) == "even in x" and effect is not None and effect.parity == "mixed"
 
 
 def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -> Trials:
     """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
     are any."""
-    small, family = search_point(after, SEARCH_SECONDS), LAW_FAMILIES.get(best.effect, best.effect)
+    small, family = search_point(after, SEARCH_SECONDS), law_family(best.law)
     places = best.places.union(r.place for r in left.residuals if r.found)
     pairs = [
         (effect, location)
         for effect in trial_effects(model)
-        if LAW_FAMILIES.get(effect.name, effect.name) != family
+        if law_family(effect) != family
         for location in open_locations(effect, model, after)
         if places.intersection(acted_on(effect, location, after.data))
     ]
@@ -67,15 +81,15 @@ def another_explains(point: WorkingPoint, trials: Trials, left: MissingForce, be
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
     found = {r.place: sum(f.gain_nats for f in r.found) for r in left.residuals if r.found}
-    smooth = gate_shape.smooth_gains_nats(point, best.effect, best.places)
-    for name, own in trials.items():
+    smooth = gate_shape.smooth_gains_nats(point, best.law, best.places)
+    for own in trials.values():
         earned, asked, seen = 0.0, sum(smooth.values()), False
         for trial in own:
             on = trial.placed.at
             if not {*found, *smooth}.intersection(on):
                 continue
             earned += max(trial.gain - trial.df, 0.0)
-            asked += 0.0 if smooth else sum(gate_shape.smooth_gains_nats(point, name, {*on}).values())
+            asked += 0.0 if smooth else sum(gate_shape.smooth_gains_nats(point, trial.effect, {*on}).values())
             here = sum(found.get(i, 0.0) for i in on)
             seen |= here > 0.0 and trial.gain > EXPLAINED_MIN_REL * here
         if seen and earned >= asked:
@@ -93,20 +107,19 @@ def of_one_state(
     part, whole : the model fitted to a part of the record and to all of it.
     """
     first = ranking[0]
-    if first.effect not in gate_shape.STATE_TERMS:
+    if not gate_shape.polynomial_terms(first.law):
         return None
-    own = LAW_FAMILIES[first.effect]
+    own = law_family(first.law)
     alike = X_FAMILIES if own == "even in x" else (own,)
-    sure = [e for e in ranking if LAW_FAMILIES.get(e.effect) in alike and e.p_value < THRESHOLDS.misfit_max_p_value][
-        :MAX_LAWS
-    ]
+    sure = [e for e in ranking if law_family(e.law) in alike and e.p_value < THRESHOLDS.misfit_max_p_value][:MAX_LAWS]
     places = set().union(*(entry.places for entry in sure))
     short, kept = point_on_part(part, FIRST_PART_S), trial_effects(model)
+    by_name = {effect.name: effect for effect in kept}
     begun: dict[frozenset[str], Begun] = {}
     for starts in map_processes([partial(_begun, model, short, entry, alike) for entry in sure], kept):
         for start in starts:
             if (
-                own in (LAW_FAMILIES[name] for name in start.names)
+                own in (law_family(by_name[name]) for name in start.names)
                 and start.nats > begun.get(start.names, NO_PAIR).nats
             ):
                 begun[start.names] = start
@@ -118,7 +131,7 @@ def of_one_state(
         except NotFiniteError:  # far from the rotor
             return start._replace(left=1.0)
         base = {u.key for u in point.placed}
-        state = next((n for n in start.names if LAW_FAMILIES[n] == "even in x"), first.effect)
+        state = next((by_name[n] for n in start.names if law_family(by_name[n]) == "even in x"), first.law)
         left = gate_shape.misfit_rel(point, both, state, places, PAIR_MISFIT_MIN_P_VALUE) or 0.0
         return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
 
@@ -158,7 +171,7 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
     firsts = [u for u in after.placed if u.key in own]
     out = []
     for effect in trial_effects(model):
-        if effect.name == entry.effect or LAW_FAMILIES.get(effect.name) not in alike:
+        if effect.name == entry.effect or law_family(effect) not in alike:
             continue
         locations = [
             s for s in open_locations(effect, model, after) if places.issuperset(acted_on(effect, s, after.data))

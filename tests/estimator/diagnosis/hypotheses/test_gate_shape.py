@@ -28,7 +28,7 @@ def left(rig: Model, y: NDArray[np.float64], effect: str) -> float:
     trial = best_on_grid(point, rig, CATALOGUE[effect], "bearing1.x")
     assert trial is not None
     after = fit_model(point.data, [*point.placed, trial.placed], start=point, rounds=2)
-    found = gate_shape.misfit_rel(point, after, effect, {0})
+    found = gate_shape.misfit_rel(point, after, CATALOGUE[effect], {0})
     assert found is not None
     return found
 
@@ -60,7 +60,9 @@ def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() 
     rig = one_bearing()
     point = fit_record(rig, prepare(rig, record(rig, "stop", 0.06), RATE))
     power, _, _ = gate_shape.polynomial_power(point, 0, "x", tuple(range(2, 10)))
-    plain = gate_shape.misfit_rel(point, point, "stop", {0})
+    plain = gate_shape.misfit_rel(point, point, CATALOGUE["stop"], {0})
     assert plain == pytest.approx(1.0)
-    assert gate_shape.misfit_rel(point, point, "stop", {0}, least=0.5 * power) == plain
-    assert gate_shape.misfit_rel(point, point, "stop", {0}, least=25.0 * power) == pytest.approx(0.2, rel=0.01)
+    assert gate_shape.misfit_rel(point, point, CATALOGUE["stop"], {0}, least=0.5 * power) == plain
+    assert gate_shape.misfit_rel(point, point, CATALOGUE["stop"], {0}, least=25.0 * power) == pytest.approx(
+        0.2, rel=0.01
+    )

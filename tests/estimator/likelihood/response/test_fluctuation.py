@@ -55,7 +55,7 @@ def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
 def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
     name, model, _, point = strong
     assert not missing_force.survey(point, model).any_found()
-    assert gate_shape.misfit_rel(point, point, name, set(range(len(model.places)))) == 0.0
+    assert gate_shape.misfit_rel(point, point, CATALOGUE[name], set(range(len(model.places)))) == 0.0
 
 
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
