@@ -246,7 +246,7 @@ def test_the_psd_is_in_doubt_by_a_mean_over_a_sample_that_is_not_seen() -> None:
         for place in rig.places:
             p = whole.parameters[f"{place}.S"]
             assert p.value == pytest.approx(rig.linear[place]["S"].value, abs=3 * (p.sd or 0.0))
-    assert behind["mean"].doubt > 4 * behind["none"].doubt
+    assert behind["mean"].S_sd_rel > 4 * behind["none"].S_sd_rel
 
 
 @pytest.mark.slow
