@@ -30,7 +30,7 @@ parameters = { L = { value = 1.34e-7, unit = "m" } }
 def test_nothing_beside_any_odd_law_explains_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     """Hysteresis earned 490 of 6500 nats and left 96 % of the missing force, and was named as a quintic earned a third
     of the rest: of what an odd curve leaves any odd law takes some."""
-    monkeypatch.setattr(gate_second_law, "EXPLAINS", 0.01)  # that part depends on the curve
+    monkeypatch.setattr(gate_second_law, "EXPLAINED_MIN_REL", 0.01)  # that part depends on the curve
     if first != "hertz":  # which comes nearer, but not near
         monkeypatch.delitem(CATALOGUE, "hertz")
     rig = one_bearing()
