@@ -16,7 +16,20 @@ from estimator.model.rig import DIRECTIONS, NODES, EffectUse, Model, Setting
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:
-    """Every canonical place that an effect can act at in a model."""
+    """Canonical locations that an effect can act at in a model.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of the catalogue or the user.
+    model : Model
+        The rig. Without measured caps, the locations of `model.linear` count.
+
+    Returns
+    -------
+    tuple of str
+        Such as "bearing1.x", "bearing1" (scope node) or "disc"; empty where the effect cannot act.
+    """
     caps = model.places or tuple(model.linear)
     if effect.kind in ("disc", "shaft"):
         return ("disc",) if model.shaft != "none" else ()

@@ -68,7 +68,11 @@ class FittedRow:
 
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """Hertz stiffness of the rig's bearing; `K_n` in N/m^1.5; `kinematics` in orders of the shaft speed."""
+    """Hertz stiffness of the rig's bearing.
+
+    bearing : its geometry. inner, outer : contacts of a ball with the raceways. K_n : N/m^1.5, load over deflection^1.5
+    of a ball. kinematics : orders of the shaft speed by name. curves : stiffness by preload. fitted : by location.
+    """
 
     bearing: BearingGeometry
     inner: PointContact
@@ -242,9 +246,26 @@ def taylor(bearing: BearingGeometry, preload: float, K_n: float | None = None) -
 
 
 def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | None = None) -> Theory:
-    """Hertz theory of the model's bearing, beside a fit, or without one beside the model's own values of kL and kNL.
+    """Stiffness of the model's ball bearing by Hertz theory, together with fitted stiffnesses.
 
-    preloads : m; default 0.2 to 0.6 um as in the paper, and the rig's own. Raises DataError without a bearing geometry.
+    Parameters
+    ----------
+    model : Model
+        The rig, with `bearing`.
+    fit : Fit or None
+        Source of the fitted stiffnesses. None: the model's own values of kL and kNL.
+    preloads : sequence of float or None
+        m. None: 0.2 to 0.6 um as in the paper, and the rig's own preload.
+
+    Returns
+    -------
+    Theory
+        Contacts, kinematic orders, stiffness by preload, and the fitted locations.
+
+    Raises
+    ------
+    DataError
+        The model has no bearing geometry.
     """
     bearing = model.bearing
     if bearing is None:

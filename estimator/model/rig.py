@@ -25,7 +25,17 @@ EMPTY: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One parameter at one place: a value (start of a fit, truth of a simulation), perhaps fixed or bounded."""
+    """One parameter at one place.
+
+    Parameters
+    ----------
+    value : float or None
+        Start of a fit, or truth of a simulation, in SI. None: unknown, to be estimated.
+    fixed : bool
+        Whether a fit keeps the value.
+    low, high : float or None
+        Limits of the value, in SI. None: no limit but those of the effect.
+    """
 
     value: float | None = None
     fixed: bool = False
@@ -35,7 +45,19 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One measured channel. kind: acceleration | velocity | displacement | force | tacho; data come in SI."""
+    """One measured channel.
+
+    Parameters
+    ----------
+    name : str
+        As in the rig file.
+    node : str
+        "bearing1", "bearing2" or "disc"; "shaft" of a tacho without a place.
+    direction : str
+        "x" or "y"; "" of a tacho without a direction.
+    kind : str
+        "acceleration" (m/s^2), "velocity" (m/s), "displacement" (m), "force" (N) or "tacho" (any unit).
+    """
 
     name: str
     node: str
@@ -50,7 +72,21 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class BearingGeometry:
-    """A ball bearing, in metres. preload < 0 is a clearance."""
+    """Geometry of a ball bearing.
+
+    Parameters
+    ----------
+    balls : int
+        Number of balls.
+    ball_diameter, pitch_diameter : float
+        m; the pitch circle goes through the centres of the balls.
+    groove_radius : float
+        m, of the raceways across the direction of rolling.
+    preload : float or None
+        m, radial; below 0 a clearance. None: unknown.
+    contact_angle : float
+        rad.
+    """
 
     balls: int
     ball_diameter: float
@@ -62,9 +98,18 @@ class BearingGeometry:
 
 @dataclass(frozen=True, slots=True)
 class CustomLaw:
-    """A user's own restoring force: an expression (see custom.py) or a module's object, and its units.
+    """A user's own restoring force: an expression, or an effect defined in a Python module.
 
-    effect : the loaded object of `module`; the estimator opens no files, so whoever reads the rig file puts it here.
+    Parameters
+    ----------
+    expression : str or None
+        The force in N by x, v, xo, vo, t, phase and the parameters. None of a law from a module.
+    module : str or None
+        Where the effect is defined, as in the rig file. None of an expression.
+    units : mapping of str to str
+        Parameter of the expression -> its SI unit, in the order of p.
+    effect : Effect or None
+        What the module defines, loaded by the caller: the estimator opens no files. None of an expression.
     """
 
     expression: str | None = None
@@ -75,7 +120,17 @@ class CustomLaw:
 
 @dataclass(frozen=True, slots=True)
 class EffectUse:
-    """An effect in a model. `parameters`: place -> parameter name -> Setting, for every place it acts at."""
+    """An effect in a model.
+
+    Parameters
+    ----------
+    name : str
+        Of the catalogue, or the user's own name.
+    parameters : mapping of str to mapping of str to Setting
+        Location -> parameter name -> setting, for every location where the effect acts.
+    custom : CustomLaw or None
+        The user's law. None of an effect of the catalogue.
+    """
 
     name: str
     parameters: Mapping[str, Mapping[str, Setting]]
@@ -89,13 +144,40 @@ class EffectUse:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The whole rig. `linear`: place -> {"kL", "c", "S"} -> Setting (values None: unknown, to be estimated).
+    """The whole rig.
 
-    mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
-    candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
-    order_found : whether ball_pass_order is only an estimate, from the record.
-    roll_off : by place, what the recorder takes, found in the record (recorder.py); None where nothing is known.
-    shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
+    Parameters
+    ----------
+    channels : tuple of Channel
+        In the order of the columns of a record.
+    band : (float, float)
+        Lower and upper edge of the analysed band, Hz.
+    shaft : {"chain", "beam", "none"}
+        Form of the stiffness of the massless shaft between caps and disc; "none": caps on their own.
+    mass : mapping of str to float
+        kg, keys "disc", "bearing1", "bearing2", or "bearing1.x" where directions differ. An absent mass is unknown.
+    shaft_stiffness : float
+        N/m, the factor of the shaft's stiffness matrix.
+    shaft_damping : float
+        N s/m, the factor of the shaft's damping matrix of the same form.
+    speed_rpm : float or None
+        Mean shaft speed, turns per minute. None: unknown.
+    ball_pass_order : float or None
+        Ball passes of the outer ring per turn of the shaft. None: from the bearing's geometry, if that is known.
+    order_found : bool
+        Whether ball_pass_order is an estimate from the record.
+    bearing : BearingGeometry or None
+        Of both bearings. None: unknown.
+    linear : mapping of str to mapping of str to Setting
+        Location -> "kL" (N/m), "c" (N s/m), "S" (N^2/Hz, one-sided) -> setting.
+    effects : tuple of EffectUse
+        All effects of the model.
+    candidates : tuple of EffectUse
+        Laws of the user that are not in the model, but on trial when it is diagnosed.
+    name : str
+        Of the rig, for the user.
+    roll_off : RollOff or None
+        By location, the anti-alias filter found in the record. None: no filter known.
     """
 
     channels: tuple[Channel, ...]

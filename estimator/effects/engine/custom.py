@@ -29,10 +29,25 @@ def effect_of(use: EffectUse) -> Effect:
 
 
 def custom_effect(use: EffectUse) -> Effect:
-    """The effect of a [[model.custom]] entry. Raises ModelError, one line with the name and the column.
+    """The effect of a user's own law.
 
-    Parameters that the law is linear in are found by trying; the others are searched between their min and max, or
-    within a factor of 30 of their value. A module's object must have been loaded by the caller (`custom.effect`).
+    Parameters that the law is linear in are found by trying. The others are searched between their limits, or within a
+    factor of 30 of their value.
+
+    Parameters
+    ----------
+    use : EffectUse
+        With `custom`. The effect of a module must have been loaded (`custom.effect`).
+
+    Returns
+    -------
+    Effect
+        Of kind force, for an expression; as the module defines it, otherwise.
+
+    Raises
+    ------
+    ModelError
+        In one line: the name, what is wrong, and the column of the expression.
     """
     custom = use.custom
     if custom is None:

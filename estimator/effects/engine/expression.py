@@ -205,9 +205,26 @@ def _depth(node: ast.AST) -> int:
 
 @cache
 def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[..., float], frozenset[str]]:
-    """A law with the seam's signature, and the names it uses. The same text gives the same function object.
+    """The force function of an expression. Nothing of the text is executed but the whitelisted arithmetic.
 
-    Raises ExpressionError: what, and the column. Nothing of the text is executed but the whitelisted arithmetic.
+    Parameters
+    ----------
+    expression : str
+        Force in N by x, v, xo, vo, t, phase, the parameters and numpy's functions by their plain names.
+    parameters : tuple of str
+        Their names, in the order of p.
+
+    Returns
+    -------
+    callable
+        force(x, v, xo, vo, t, phase, s, p) -> N, one object for one text.
+    frozenset of str
+        The names that the expression uses.
+
+    Raises
+    ------
+    ExpressionError
+        What is wrong, and its column from 1.
     """
     for name in parameters:
         if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS:

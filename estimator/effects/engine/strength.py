@@ -24,7 +24,11 @@ MOST_WEAK = 0.03  # a wanted fraction up to this is a weak case
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """The natural sizes at a place. x, v, a : rms, SI. m : kg. kL : N/m. rate_hz. band_hz : upper edge. c : N s/m."""
+    """Natural sizes at a location.
+
+    x, v, a : rms displacement, velocity and acceleration, m, m/s, m/s^2. m : mass of the cap, kg. kL : stiffness, N/m.
+    c : damping, N s/m. rate_hz : sampling rate, Hz. band_hz : upper edge of the band, Hz.
+    """
 
     x: float
     v: float
@@ -55,7 +59,27 @@ class Size:
 
 
 def size(model: Model, place: str, rate_hz: float = 25600.0) -> Size:
-    """Natural sizes at a place ("bearing1.x"; "bearing1" and "disc" mean their x) from the linear model alone."""
+    """Natural sizes of the motion at a location, from the linear model alone.
+
+    Parameters
+    ----------
+    model : Model
+        The rig, all linear values and masses known.
+    place : str
+        "bearing1.x"; "bearing1" means its x, "disc" the first cap.
+    rate_hz : float
+        Sampling rate, Hz.
+
+    Returns
+    -------
+    Size
+        rms of displacement, velocity and acceleration, and the linear values, SI.
+
+    Raises
+    ------
+    ModelError
+        A linear value or a mass is unknown.
+    """
     rig = assemble(model)
     P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
     direction = place.split(".")[1] if "." in place else "x"
@@ -114,10 +138,33 @@ def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0,
 def strengths(
     effect: Effect, at: Size, fraction: float = WEAK, model: Model | None = None, seconds: float = 60.0
 ) -> dict[str, float]:
-    """Parameters (name -> SI) of an effect whose force has `fraction` of the rms linear bearing force.
+    """Parameters of an effect of a wanted strength.
 
     Searched parameters take their natural default. An effect whose strength is no force has its `typical` values: a
     fraction up to 3 % gives the weak one, more the strong one.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of the catalogue or the user.
+    at : Size
+        Natural sizes at its location.
+    fraction : float
+        rms force of the effect over the rms linear bearing force.
+    model : Model or None
+        The rig, for kinematic orders and the stiffness of the shaft. None: the effect's defaults.
+    seconds : float
+        Length of the record, s, for effects that change with time.
+
+    Returns
+    -------
+    dict of str to float
+        Parameter name -> value in SI.
+
+    Raises
+    ------
+    ValueError
+        No parameter sets the effect's strength.
     """
     p = defaults(effect, at, model)
     names = [q.name for q in effect.parameters]
@@ -139,7 +186,24 @@ def strengths(
 
 
 def with_effect(model: Model, effect: Effect, parameters: Mapping[str, float], *at: str) -> Model:
-    """The model with one more effect, at the given canonical places (default: everywhere it can act)."""
+    """A model with one more effect.
+
+    Parameters
+    ----------
+    model : Model
+        The rig; it is not changed.
+    effect : Effect
+        Of the catalogue.
+    parameters : mapping of str to float
+        Parameter name -> value in SI, one for all locations.
+    *at : str
+        Canonical locations. Without any: everywhere the effect can act.
+
+    Returns
+    -------
+    Model
+        A copy with the effect behind the others.
+    """
     where = at or places(effect, model)
     settings = {place: {k: Setting(v) for k, v in parameters.items()} for place in where}
     return replace(model, effects=(*model.effects, EffectUse(effect.name, settings)))
