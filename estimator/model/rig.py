@@ -52,9 +52,9 @@ class Channel:
     name : str
         As in the rig file.
     node : str
-        "bearing1", "bearing2" or "disc"; "shaft" of a tacho without a place.
+        "bearing1" or "bearing2"; "shaft" of a tacho.
     direction : str
-        "x" or "y"; "" of a tacho without a direction.
+        "x" or "y"; "" of a tacho.
     kind : str
         "acceleration" (m/s^2), "velocity" (m/s), "displacement" (m), "force" (N) or "tacho" (any unit).
     """

@@ -161,10 +161,11 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
     bare = replace(rig, effects=())
     point = fit_all_effects(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
     left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain_nats=16.0)])])
-    best = SimpleNamespace(effect="quintic", places={0, 1})
+    best = SimpleNamespace(law=CATALOGUE["quintic"], places={0, 1})
 
     def explained(gain: float) -> bool:
-        stops = [SimpleNamespace(gain=gain, df=2, placed=SimpleNamespace(at=(i,))) for i in (0, 1)]
+        stop = CATALOGUE["stop"]
+        stops = [SimpleNamespace(effect=stop, gain=gain, df=2, placed=SimpleNamespace(at=(i,))) for i in (0, 1)]
         return another_explains(point, {"stop": stops}, left, best)  # type: ignore[arg-type]
 
     assert not explained(8.0)
