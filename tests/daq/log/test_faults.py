@@ -129,7 +129,7 @@ def test_a_full_disk_and_names_that_are_no_text(tmp_path: Path, record_property:
 
 
 def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_property: Property) -> None:
-    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20, file=StalledFile))
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
     with file_size_limit(300_000):
         feeder.until(lambda: feeder.heard("log_overflow"))
         feeder.feed(2000)

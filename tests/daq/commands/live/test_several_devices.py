@@ -185,7 +185,7 @@ def test_mistakes_are_told_before_anything_begins(
         ([*two, "--out", str(tmp_path / "a.mcap")], "give a folder"),
         ([f"{rig}=virtual:", f"{rig}=nonsense:x", "--out", str(tmp_path / "logs")], "nonsense"),
         ([f"{rig}=virtual:", f"{tmp_path}/no.toml"], "no.toml"),
-        ([f"{rig}="], "no link behind"),
+        ([f"{rig}="], "no link after"),
         ([str(rig), "--link", ""], "the link is empty"),
         ([str(rig), "--link", "serial:/dev/ttyNOPE"], "serial:/dev/ttyNOPE: No such file or directory: check the name"),
         ([f"{rig}=virtual:", "--link", "virtual:"], "RIG=LINK"),
