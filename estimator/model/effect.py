@@ -79,6 +79,9 @@ class Effect:
         its test reproduces; what to look at on the machine.
     confused_with : tuple of str
         Names of effects that look alike.
+    refines : str or None
+        Name of the effect that is this law with some of its amplitudes at zero. A diagnosis tries this law only where
+        that effect is in the model already. None: the law contains no other one.
     scope : {"direction", "node", "bearings"}
         direction: parameters of its own in x and in y. node: one set for both directions of a node. bearings: one set
         for a direction of both bearings.
@@ -148,6 +151,7 @@ class Effect:
     spectral_factor: Callable[..., Any] | None = None
     in_likelihood: bool = True
     watched: bool = False
+    refines: str | None = None
     typical: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}), hash=False)
 
     @property

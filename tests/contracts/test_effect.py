@@ -80,6 +80,23 @@ def test_texts_are_complete(effect: Effect) -> None:
     assert len({p.name for p in effect.parameters}) == len(effect.parameters)
 
 
+@of([e for e in ALL if e.refines])
+def test_a_law_that_refines_another_one_contains_it(effect: Effect) -> None:
+    """With some amplitudes at zero, the force is that of the other law."""
+    assert effect.refines in CATALOGUE
+    assert effect.refines in effect.confused_with
+    other = CATALOGUE[effect.refines]
+    assert (other.kind, other.scope, other.refines) == (effect.kind, effect.scope, None)
+    shared = {q.name for q in other.parameters}
+    p, own = random_parameters(effect, np.random.default_rng(4)), random_parameters(other, np.random.default_rng(4))
+    for k, q in enumerate(effect.parameters):
+        if q.name in shared:
+            p[k] = own[[o.name for o in other.parameters].index(q.name)]
+        elif q.linear:
+            p[k] = 0.0
+    np.testing.assert_array_equal(force_array(effect, p, *states()), force_array(other, own, *states()))
+
+
 @of(ALL)
 def test_one_file_with_its_name(effect: Effect) -> None:
     law = effect.force or effect.rates or effect.apply or effect.shape

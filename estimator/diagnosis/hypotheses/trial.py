@@ -73,7 +73,10 @@ class Trial:
 
 
 def open_locations(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
-    """Canonical places where a force effect could be added: measured, and not in the model there already."""
+    """Canonical places where a force effect could be added: measured, and not in the model there already.
+
+    A law that refines another one needs that law there: what it adds is what counts.
+    """
     if effect.kind not in FORCE_KINDS or effect.found_by != "law":
         return []
     taken = {u.key for u in point.placed}
@@ -81,6 +84,7 @@ def open_locations(effect: Effect, model: Model, point: WorkingPoint) -> list[st
         s
         for s in canonical_places(effect, model)
         if f"{s}.{effect.name}" not in taken
+        and (effect.refines is None or f"{s}.{effect.refines}" in taken)
         and acted_on(effect, s, point.data)
         and set(point.data.judged).issuperset(acted_on(effect, s, point.data))
     ]
