@@ -15,9 +15,10 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.strength import search_range
 from estimator.identification.structure import spectral_models, transfer_bias
 from estimator.likelihood.fitting.gauss_newton import coarse_fit, fit_model
-from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
+from estimator.likelihood.motion.located_law import LocatedLaw, first_stiffness, located_laws, natural_sizes
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.path_fit import PathFit
@@ -144,7 +145,7 @@ def _best_of_grid(
 
     All locations share a node. A location gets its own node where that gains MIN_OWN_VALUES_GAIN_NATS.
     """
-    nodes = [_grid_nodes(use, factors, both_signs) for use in uses]
+    nodes = [_grid_nodes(point, use, factors, both_signs) for use in uses]
     pairs = [use for own in nodes for use in own]
     found = map_threads(lambda use: law_gain.fitted_gain(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
@@ -159,8 +160,8 @@ def _best_of_grid(
     return out
 
 
-def _grid_nodes(use: LocatedLaw, factors: Array, both_signs: bool) -> list[LocatedLaw]:
-    """The law at every node of the grid, with its free amplitudes at 1.
+def _grid_nodes(point: WorkingPoint, use: LocatedLaw, factors: Array, both_signs: bool) -> list[LocatedLaw]:
+    """The law at every node of the grid, inside the limits of its parameters, with its free amplitudes at 1.
 
     both_signs : also nodes of the other sign where the parameter may have both, as the side of a stop.
     """
@@ -168,11 +169,14 @@ def _grid_nodes(use: LocatedLaw, factors: Array, both_signs: bool) -> list[Locat
     limits = [(use.effect.parameters[k].low, use.effect.parameters[k].high) for k in loose]
     both = [both_signs and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
     axes = [np.append(factors, -factors) if signed else factors for signed in both]
+    natural = natural_sizes(point.data, use.at[0], first_stiffness(point.data, use.at[0]))
+    ranges = np.array([search_range(use.effect.parameters[k], natural) for k in loose]).T
+    bounds = np.minimum(ranges[0], use.p[loose]), np.maximum(ranges[1], use.p[loose])  # a given start may be outside
     p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
     nodes = []
     for scale in product(*axes):
         node = p.copy()
-        node[loose] *= scale
+        node[loose] = np.clip(node[loose] * scale, *bounds)
         nodes.append(use.with_values(node))
     return nodes
 

@@ -33,6 +33,7 @@ from .report import SpectralFit, fitted_parameters, ratios_only_message
 
 COARSE_FIT_S = 20.0  # of the record, for the start of a parameter that a law is not linear in
 MAX_UNMEASURED_POWER_REL = 1e-3  # of the power of the measured force: a smaller rest is noise or force, either will do
+MAX_OUTSIDE_SD = 2.0  # of an amplitude beyond a limit: nearer, an amplitude of at least 0 is not identifiable
 MAX_SHARED_NOISE_REL = 0.03  # of the PSD of a residual force in a cell; 0.17 moved kL by one standard deviation
 
 
@@ -42,7 +43,8 @@ def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = N
     The Gram matrices of the record are enough for laws of the displacement and velocity of a cap. The full fit takes
     over for: disturbances, forces with memory, laws with an even part, a visible anti-alias roll-off, a mode that the
     mean response lets grow, an unmeasured force beside a measured one, sensor noise that acts through the
-    shaft, and a search for nonlinear parameters that does not converge.
+    shaft, a search for nonlinear parameters that does not converge, and values outside the limits of their
+    parameters.
 
     Parameters
     ----------
@@ -72,7 +74,12 @@ def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = N
     failed = (
         gram_fit is not None
         and has_scale
-        and (search_has_failed(gram_fit) or _has_growing_mode(gram_fit) or _shares_sensor_noise(gram_fit))
+        and (
+            search_has_failed(gram_fit)
+            or is_outside_limits(gram_fit)
+            or _has_growing_mode(gram_fit)
+            or _shares_sensor_noise(gram_fit)
+        )
     )
     if gram_fit is None or failed or (has_scale and _shows_roll_off(gram_fit)):
         found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
@@ -138,6 +145,17 @@ def search_has_failed(gram_fit: SpectralFit) -> bool:
     sd = np.sqrt(np.diag(gram_fit.covariance))
     identifiable = [np.isfinite(sd[j]) for j, f in enumerate(gram_fit.balance.free) if f.searched]
     return bool(identifiable) and not (gram_fit.converged and all(identifiable))
+
+
+def is_outside_limits(gram_fit: SpectralFit) -> bool:
+    """Whether a searched parameter of a law, or an amplitude by more than its uncertainty, is outside its limits."""
+    balance, sd = gram_fit.balance, np.sqrt(np.diag(gram_fit.covariance))
+    of_laws = {law.name(j) for law in balance.laws for j in (*law.linear, *law.searched)}
+    for f, s in zip(balance.free, sd.tolist(), strict=False):
+        beyond = 0.0 if f.searched else MAX_OUTSIDE_SD * s
+        if f.name in of_laws and not f.low - beyond <= gram_fit.values[f.name] <= f.high + beyond:
+            return True
+    return False
 
 
 def _has_growing_mode(gram_fit: SpectralFit) -> bool:

@@ -279,6 +279,33 @@ def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed
     assert not spectral.search_has_failed(replace(analyse(rig, y, RATE), converged=False))
 
 
+def test_a_value_outside_its_limits_is_not_believed() -> None:
+    """An amplitude may be outside by its uncertainty: it is not identifiable there."""
+    rig = one_bearing()
+    hidden = EffectUse("clearance", {"bearing1.x": {"k": Setting(3e6), "gap": Setting(1.9e-7)}})
+    found = analyse(replace(rig, effects=(hidden,)), simulate(rig, RATE, 3.0, seed=1, noise=0.02), RATE)
+    free, point = found.balance.free, found.point
+    searched, amplitude = (next(k for k, f in enumerate(free) if f.name.endswith(name)) for name in (".gap", ".k"))
+    sd = 0.1 * abs(point.beta[amplitude])
+    covariance = sd**2 * np.eye(len(found.covariance))
+
+    def outside(gap: float, k: float) -> bool:
+        beta = point.beta.copy()
+        beta[[searched, amplitude]] = gap - free[searched].start, k
+        moved = replace(found.local, point=replace(point, beta=beta))
+        bounded = replace(
+            found.balance, free=tuple(replace(f, low=0.0) if j == amplitude else f for j, f in enumerate(free))
+        )
+        return spectral.is_outside_limits(replace(found, balance=bounded, local=moved, covariance=covariance))
+
+    low, high = free[searched].low, free[searched].high
+    assert not outside(0.5 * (low + high), 3.0 * sd)
+    assert outside(0.9 * low, 3.0 * sd)
+    assert outside(1.1 * high, 3.0 * sd)
+    assert not outside(0.5 * (low + high), -1.0 * sd)
+    assert outside(0.5 * (low + high), -3.0 * sd)
+
+
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:
     rig = one_bearing()
     data = prepare(rig, simulate(rig, RATE, 2.0, seed=1, noise=0.02), RATE)
