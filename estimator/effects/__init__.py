@@ -6,6 +6,7 @@ from estimator.effects.damping.bouc_wen import BOUC_WEN
 from estimator.effects.damping.coulomb import COULOMB
 from estimator.effects.damping.displacement_damping import DISPLACEMENT_DAMPING
 from estimator.effects.damping.quadratic_damping import QUADRATIC_DAMPING
+from estimator.effects.damping.stribeck import STRIBECK
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.line import LINE
@@ -46,6 +47,7 @@ CATALOGUE: dict[str, Effect] = {
     "stop": STOP,
     "hertz": HERTZ,
     "coulomb": COULOMB,
+    "stribeck": STRIBECK,
     "quadratic_damping": QUADRATIC_DAMPING,
     "displacement_damping": DISPLACEMENT_DAMPING,
     "bouc_wen": BOUC_WEN,

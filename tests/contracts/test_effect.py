@@ -18,10 +18,10 @@ from estimator.effects.engine.page import markdown
 from estimator.effects.engine.strength import Size, defaults, rms, search_range, strengths
 from estimator.model.effect import Effect, EffectParameter
 
-CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, quadratic_damping, displacement_damping,
-bouc_wen, imbalance, misalignment, bow, ball_pass, local_defect, crack, rub, cross_coupling, anisotropy, gyroscopic,
-pedestal, stiffness_drift, correlated_force, coloured_excitation, line, sensor_gain, sensor_clipping, sensor_skew,
-sensor_resonance, sensor_noise"""
+CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, stribeck, quadratic_damping,
+displacement_damping, bouc_wen, imbalance, misalignment, bow, ball_pass, local_defect, crack, rub, cross_coupling,
+anisotropy, gyroscopic, pedestal, stiffness_drift, correlated_force, coloured_excitation, line, sensor_gain,
+sensor_clipping, sensor_skew, sensor_resonance, sensor_noise"""
 AT = Size(x=1.9e-7, v=1.36e-3, m=0.2, kL=1e7, a=4.0, c=60.0)
 ALL = list(CATALOGUE.values())
 LAWS = [e for e in ALL if e.force is not None]
@@ -163,7 +163,7 @@ def test_conservative_forces_do_no_work_around_a_loop(effect: Effect) -> None:
     assert np.array_equal(fx, moved), "depends on position alone"
 
 
-@pytest.mark.parametrize("name", ["coulomb", "quadratic_damping", "displacement_damping"])
+@pytest.mark.parametrize("name", ["coulomb", "stribeck", "quadratic_damping", "displacement_damping"])
 def test_dissipative_forces_take_power(name: str) -> None:
     effect = CATALOGUE[name]
     x, v, xo, vo, t, phase = states()
@@ -269,6 +269,7 @@ CHARACTER = {  # state, parity and power, by hand; every other effect has no law
     "stop": ("displacement", "mixed", None),
     "hertz": ("displacement", "odd", None),
     "coulomb": ("velocity", "odd", None),
+    "stribeck": ("velocity", "odd", None),
     "quadratic_damping": ("velocity", "odd", None),
     "displacement_damping": ("both", "odd", None),
     "rub": ("directions", "odd", None),
@@ -290,7 +291,7 @@ def test_state_parity_and_power_are_those_of_the_law(effect: Effect) -> None:
         p = random_parameters(effect, np.random.default_rng(8))
         here, there = force_array(effect, p, x, v, *across), force_array(effect, p, -x, -v, *across)
         np.testing.assert_allclose(there, -here if effect.parity == "odd" else here, atol=1e-9 * AT.force)
-    assert effect.steps_at_rest == (effect.name == "coulomb")
+    assert effect.steps_at_rest == (effect.name in ("coulomb", "stribeck"))
 
 
 def test_a_law_of_a_user_has_its_character_by_evaluation() -> None:

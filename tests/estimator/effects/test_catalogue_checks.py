@@ -227,3 +227,13 @@ def test_sensors_do_what_they_say() -> None:
     np.testing.assert_allclose(gain[10:-10], truth[10:-10], rtol=0.1)
     assert np.abs(gain[np.argmin(np.abs(f - 5000))]) == pytest.approx(10, rel=0.05)
     np.testing.assert_allclose(sensed("sensor_skew", 1 / rate)[100:-100], y[99:-101], atol=1e-6)
+
+
+def test_stribeck_friction_of_a_gaussian_velocity() -> None:
+    fc, df, vs, sigma = 0.05, 0.08, 7e-4, 1.3e-3
+    v = sigma * np.sqrt(2.0) * np.linspace(-6.0, 6.0, 400001)
+    weight = np.exp(-0.5 * (v / sigma) ** 2)
+    f = law("stribeck", fc, df, vs, x=0.0 * v, v=v)
+    expected = np.sqrt(2 / np.pi) * (fc / sigma + df / (sigma * (1 + 2 * sigma**2 / vs**2)))
+    assert np.sum(weight * f * v) / np.sum(weight * v**2) == pytest.approx(expected, rel=1e-6)
+    assert law("stribeck", fc, df, vs, x=np.zeros(2), v=np.array([1e-9, 1.0])) == pytest.approx([fc + df, fc])
