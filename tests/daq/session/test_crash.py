@@ -28,7 +28,7 @@ RATE_HZ = 25_600.0
 
 def start(log: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, str(HERE / "session_process.py"), str(log), *arguments]
-    path = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")])}
+    path = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE.parent), str(HERE.parents[1])])}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=path)
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
