@@ -18,7 +18,7 @@ from .hidden import FORMS, PARAMETERS
 from .motion import LAWS, Law, Rotor, motion, push
 from .record import Case, made, rig_file
 
-KNOWN = [name for name in LAWS if name in CATALOGUE and CATALOGUE[name].kind == "force"]
+KNOWN = [name for name in LAWS if name in CATALOGUE and name not in FORMS and CATALOGUE[name].kind == "force"]
 NUMBERS = {
     "clearance": (2.0, 0.4), "stop": (2.0, -0.3), "hertz": (2.0, 0.5, 6.0), "ball_pass": (1.0, 0.5, 2.1),
     "stiffness_drift": (0.3, 0.1), "local_defect": (1.5, 2.1, 0.7, 0.05), "rub": (2.0, 0.4, 0.6),
