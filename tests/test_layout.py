@@ -33,14 +33,13 @@ INSIDE = {
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60
-LONG_FUNCTIONS = {"build"}  # to be cut
 FOLDER_ENTRIES = 16  # twelve after the two engines are one
 ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identification", "diagnosis"}
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
 EFFECT_NAMING_FILES = 0  # files of estimator/ outside effects/ with an effect's name in a string: none is the aim
 ONE_WORD_CONSTANTS = {"estimator": 75, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 13  # docstrings in estimator/ that open with "The same": none is the aim
+SAME_OPENINGS = 5  # docstrings in estimator/ that open with "The same": none is the aim
 POSITIONAL_CALLS = 116  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
@@ -174,7 +173,7 @@ def test_no_function_is_long(package: str) -> None:
         f"{path.relative_to(ROOT)}: {node.name} {length}"
         for path, tree in sources(package).items()
         for node in functions(tree)
-        if (length := (node.end_lineno or 0) - node.lineno + 1) > FUNCTION_LINES and node.name not in LONG_FUNCTIONS
+        if (length := (node.end_lineno or 0) - node.lineno + 1) > FUNCTION_LINES
     ]
     assert not long
 
