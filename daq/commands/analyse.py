@@ -147,7 +147,7 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
 
 def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.diagnosis", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE))
     from estimator.diagnosis.verdict import diagnose as diagnose_model
 
     with output.progress("diagnosing") as progress, about(log, data):

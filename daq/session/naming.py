@@ -65,7 +65,8 @@ def answer(question: Question) -> dict[str, Any]:
         rig = Rig.parse(question.text, base, path)
         for effect, at in question.known:
             rig = Rig.parse(with_effect(rig, effect, at), base, path)
-        return diagnose(rig.model, question.y, question.rate_hz).to_json()
+        found = diagnose(rig.model, question.y, question.rate_hz)
+        return found.to_json() if found.bearing.judged else {"error": found.bearing.reason}
     except (DataError, ModelError, RotorscopeError) as problem:
         return {"error": str(problem).splitlines()[0]}
 

@@ -15,7 +15,7 @@ import resource, sys, time
 import numpy as np
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.diagnose import diagnose
 model, y = load_rig(sys.argv[2]).model, np.load(sys.argv[3])
 work = {"compare": compare, "diagnose": diagnose}[sys.argv[1]]
 work(model, y[: 5 * 25600], 25600.0)  # compiled laws are read from the cache

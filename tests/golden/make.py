@@ -23,6 +23,7 @@ from .records import RECORDS, GoldenRecord
 RESULTS = Path(__file__).parent / "results"
 COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
 TEXTS = {"messages", "message_codes", "notes", "region", "separates", "reason"}  # wording is free
+LAYERS = {"record", "machine", "structure", "bearing"}  # of a diagnosis: each layer has its own tests
 MAX_P_VALUE = 1e-3  # of a candidate in a ranking, above which rounding decides its place and its numbers
 DRAWN = {"curves", "laws", "spectra", "densities", "orbits", "shape"}  # long series: in the digest alone
 
@@ -32,7 +33,7 @@ def answers(record: GoldenRecord, commands: Sequence[str] = tuple(COMMANDS)) -> 
     model, y, rate_hz = record.make()
     out: dict[str, Any] = {"samples_sha256": hashlib.sha256(y.tobytes()).hexdigest()}
     for name in commands:
-        full = without(json.loads(json.dumps(COMMANDS[name](model, y, rate_hz).to_json())), TEXTS)
+        full = without(json.loads(json.dumps(COMMANDS[name](model, y, rate_hz).to_json())), TEXTS | LAYERS)
         digest = hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()
         out[name] = {"digest": digest, "result": without(full, DRAWN)}
     return out

@@ -27,7 +27,7 @@ from daq.base.contract.errors import ConfigError
 from daq.rig.problems import did_you_mean
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison import heldout_nll
-from estimator.diagnosis.verdict import Diagnosis, diagnose_point, rung
+from estimator.diagnosis.verdict import BearingJudgement, judge_bearing, rung
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
 from estimator.identification.batch import FullFit, fit_all_effects
@@ -41,7 +41,7 @@ MIN_DISTANCE_NATS = 20.0  # nats between two models under which their difference
 
 
 def run(
-    model: Model, case: Case, seconds: float, diagnose: Callable[..., Diagnosis] = diagnose_point
+    model: Model, case: Case, seconds: float, diagnose: Callable[..., BearingJudgement] = judge_bearing
 ) -> dict[str, Any]:  # fmt: skip
     """Simulate and diagnose one case. diagnose : from the fitted model, its working point and the samples."""
     truth, known, noise = hidden(model, case, seconds)

@@ -1,6 +1,16 @@
-"""Gates, the verdict of a diagnosis, and the ladder of improvements."""
+"""The layers of a diagnosis, gates, the verdict, and the ladder of improvements."""
 
-from .diagnosis import NO_LAW_CODES, Diagnosis, diagnose, diagnose_point
+from .bearing import NO_LAW_CODES, BearingJudgement, judge_bearing
+from .diagnose import Diagnosis, diagnose
 from .improvement import Improvement, improve, rung
 
-__all__ = ["NO_LAW_CODES", "Diagnosis", "Improvement", "diagnose", "diagnose_point", "improve", "rung"]
+__all__ = [
+    "NO_LAW_CODES",
+    "BearingJudgement",
+    "Diagnosis",
+    "Improvement",
+    "diagnose",
+    "improve",
+    "judge_bearing",
+    "rung",
+]

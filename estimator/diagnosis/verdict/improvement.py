@@ -24,7 +24,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
 
-from .diagnosis import Diagnosis, diagnose_point, quiet
+from .bearing import BearingJudgement, judge_bearing, quiet
 
 Progress = Callable[[float, str], None]
 MAX_EFFECTS_ADDED = 5  # by one run
@@ -70,9 +70,9 @@ class Improvement:
     rungs: tuple[Rung, ...]
     model: Model
     parameters: dict[str, Parameter]
-    last: Diagnosis
+    last: BearingJudgement
     messages: tuple[Message, ...] = ()
-    diagnoses: tuple[Diagnosis, ...] = ()
+    diagnoses: tuple[BearingJudgement, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The result of improve, by its schema."""
@@ -124,7 +124,7 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 
 def improvement(
     model: Model, y: Array, rate_hz: float, say: Progress = quiet, *,
-    diagnose: Callable[..., Diagnosis] = diagnose_point, max_effects_added: int = MAX_EFFECTS_ADDED,
+    diagnose: Callable[..., BearingJudgement] = judge_bearing, max_effects_added: int = MAX_EFFECTS_ADDED,
 ) -> Improvement:  # fmt: skip
     """Diagnose, add, fit again, until the diagnosis names nothing or its effect is refused.
 
@@ -132,7 +132,7 @@ def improvement(
     """
     ladder = _Ladder(model, y, rate_hz, fit_all_effects(model, y, rate_hz))
     messages: list[Message] = []
-    diagnoses: list[Diagnosis] = []
+    diagnoses: list[BearingJudgement] = []
     for step in range(max_effects_added):
         found = diagnose(ladder.whole.model, ladder.whole.point, y, _second_half(say, step / (step + 1.0)))
         diagnoses.append(found)
@@ -159,7 +159,7 @@ def improvement(
     )
 
 
-def _last_verdict(found: Diagnosis, last: Rung) -> Diagnosis:
+def _last_verdict(found: BearingJudgement, last: Rung) -> BearingJudgement:
     """The diagnosis that ends an improvement: an effect that was refused is no verdict."""
     if found.verdict in VERDICTS_WITHOUT_EFFECT:
         return found

@@ -19,7 +19,7 @@ from daq.commands.study.hidden import Case, cases, with_hidden
 from daq.commands.study.hidden_pairs import NOBODY_TELLS, Pair, pairs
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.diagnosis import Diagnosis
+from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.improvement import Improvement, Rung
 from estimator.effects import CATALOGUE
 from estimator.model.rig import Model
@@ -157,5 +157,5 @@ def _ladder_to_truth(known: Model, pair: Pair, model: Model, seconds: float) -> 
     assert not set(pair.at) & {u.name for u in known.effects}
     truth, _ = with_hidden(model, pair.at, 0.06, seconds)
     rungs = tuple(Rung((), 0.0, (p, p, p)) for p in (6.0, 3.0, 0.0))
-    said = tuple(Diagnosis(v, ()) for v in (*pair.at, "complete"))
+    said = tuple(BearingJudgement(v, ()) for v in (*pair.at, "complete"))
     return Improvement(rungs=rungs, model=truth, parameters={}, last=said[-1], diagnoses=said)

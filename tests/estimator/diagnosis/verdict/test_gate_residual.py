@@ -10,7 +10,8 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict import gate_residual, gate_second_law
-from estimator.diagnosis.verdict.diagnosis import diagnose, quiet, verdict_without_law
+from estimator.diagnosis.verdict.bearing import quiet, verdict_without_law
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError

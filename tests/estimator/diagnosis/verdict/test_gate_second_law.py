@@ -9,7 +9,7 @@ from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig.rig import Rig
 from estimator.diagnosis.verdict import gate_second_law
-from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose
+from estimator.diagnosis.verdict.bearing import BearingJudgement
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve, improvement, refitted_with_found
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
@@ -57,7 +58,7 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model) -> None:
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
     ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
-    wrong = Diagnosis("quadratic_damping", (ahead,))
+    wrong = BearingJudgement("quadratic_damping", (ahead,))
     ladder = improvement(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE, diagnose=lambda *_: wrong)
     assert len(ladder.rungs) == 1
     assert any(m.code == "not_added" and ahead.effect in m.text for m in ladder.messages)
@@ -73,7 +74,7 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(r
     law = LocatedLaw(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
     wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     y = simulate(hidden, RATE, 4.0, seed=4, noise=NOISE)
-    ladder = improvement(rig, y, RATE, diagnose=lambda *_: Diagnosis("quadratic", (wrong,)))
+    ladder = improvement(rig, y, RATE, diagnose=lambda *_: BearingJudgement("quadratic", (wrong,)))
     assert len(ladder.rungs) == 1
     assert ladder.rungs[-1].missing[0] > 5.0
     assert (ladder.last.verdict, ladder.diagnoses[-1].verdict) == ("unknown", "quadratic")
@@ -115,7 +116,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     y = simulate(with_effect(known, cubic, own, "bearing1.x"), RATE, 4.0, seed=4, noise=NOISE)
     law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
     named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
-    said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
+    said = iter([BearingJudgement("cubic", (named,)), BearingJudgement("complete", ())])
     # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
     monkeypatch.setattr("estimator.identification.structure.recorder_fall.find_roll_off", lambda *_: {})
     ladder = improvement(known, y, RATE, diagnose=lambda *_: next(said))

@@ -10,7 +10,8 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimator.diagnosis.verdict.diagnosis import diagnose, diagnose_point
+from estimator.diagnosis.verdict.bearing import judge_bearing
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record.declip import ceilings, restore_clipped
 from estimator.identification.residual import missing_force
@@ -107,7 +108,7 @@ def test_nothing_is_told_of_a_bearing_whose_motion_cannot_be_restored() -> None:
     assert whole.parameters["bearing1.x.sensor_clipping.level"].value == pytest.approx(3.0)
     found = missing_force.survey(whole.point, whole.model)
     assert found.interval() == (0.0, 0.0, 100.0)
-    said = diagnose_point(whole.model, whole.point, y)
+    said = judge_bearing(whole.model, whole.point, y)
     assert said.verdict == "unknown"
     assert missing_force.UNJUDGED_MESSAGE in said.messages
 

@@ -14,7 +14,7 @@ from scipy import optimize, signal
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects

@@ -10,7 +10,8 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
 from estimator.diagnosis.hypotheses.screen import rank_on_part
-from estimator.diagnosis.verdict.diagnosis import SPECTRUM_UNEXPLAINED, diagnose, quiet
+from estimator.diagnosis.verdict.bearing import SPECTRUM_UNEXPLAINED, quiet
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record

@@ -12,7 +12,7 @@ from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
 from estimator.diagnosis.comparison.heldout import heldout_rmse
-from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral as spectral

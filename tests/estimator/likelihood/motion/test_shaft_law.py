@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.trial import best_on_grid
-from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect

@@ -1,4 +1,4 @@
-"""The verdict: which effect a model lacks, by the ranking of all candidates and the gates that they have to pass."""
+"""The bearing layer: which law a model lacks, by the ranking of all candidates and the gates that they pass."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from estimator.diagnosis.hypotheses.screen import (
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import found_by
 from estimator.errors import NotFiniteError
-from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
@@ -52,12 +51,25 @@ NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code, SHAFT_DI
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """The effect that a model lacks.
+class BearingJudgement:
+    """What the bearing layer says of a record: the law that the model of the bearings lacks.
 
-    verdict : name of an effect, "complete" or "unknown". ranking : candidates with their evidence, best first. shape :
-    force against the state that it depends on, where the verdict is "unknown"; else None. separates : what tells the
-    first of the ranking from the second, a sentence. messages : for the user.
+    Parameters
+    ----------
+    verdict : str
+        Name of an effect, "complete" or "unknown".
+    ranking : tuple of Entry
+        Candidates with their evidence, best first.
+    shape : Shape or None
+        Force against the state that it depends on, where the verdict is "unknown"; else None.
+    separates : str
+        What tells the first of the ranking from the second, a sentence.
+    messages : tuple of Message
+        Remarks for the user.
+    judged : bool
+        Whether the record carries a judgement of the bearings.
+    reason : str
+        Why the bearings are not judged, one line; empty where they are.
     """
 
     verdict: str
@@ -65,14 +77,22 @@ class Diagnosis:
     shape: Shape | None = None
     separates: str = ""
     messages: tuple[Message, ...] = ()
+    judged: bool = True
+    reason: str = ""
+
+    @classmethod
+    def not_judged(cls, reason: str) -> BearingJudgement:
+        """The answer for a record that does not carry a judgement of the bearings. reason : one line."""
+        return cls("unknown", (), judged=False, reason=reason)
 
     def to_json(self) -> dict[str, Any]:
-        """The result of diagnose, by its schema."""
+        """Keys of the result of diagnose that the bearing layer fills."""
         out: dict[str, Any] = {
             "schema": 1,
             "verdict": self.verdict,
             "ranking": [e.to_json() for e in self.ranking],
             "separates": self.separates,
+            "bearing": {"judged": self.judged, "reason": self.reason},
         } | messages_json(self.messages)
         return out if self.shape is None else out | {"shape": self.shape.to_json()}
 
@@ -81,51 +101,8 @@ def quiet(fraction: float, text: str) -> None:
     """No progress shown."""
 
 
-def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | None = None) -> Diagnosis:
-    """Name the physical effect that a model lacks.
-
-    Parameters
-    ----------
-    model : Model
-        The rig. Linear values and parameters of effects may be unknown (None); they are fitted.
-    y : (n, channels) float64
-        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
-    rate_hz : float
-        Sampling rate, Hz.
-    progress : callable, optional
-        Called with a fraction from 0 to 1 and a text.
-
-    Returns
-    -------
-    Diagnosis
-        ``verdict`` ("complete", "unknown" or the name of an effect), ``ranking`` and ``messages``.
-
-    Raises
-    ------
-    DataError
-        The record cannot answer: too short, a dead channel, no resonance in the band.
-    ModelError
-        A model that makes no sense.
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> from estimator import Channel, EffectUse, Model, Setting, diagnose, simulate
-    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}}
-    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
-    >>> true = replace(rig, effects=(EffectUse("cubic", {"bearing1.x": {"kNL": Setting(3.0e18)}}),))
-    >>> diagnose(rig, simulate(true, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).verdict
-    'cubic'
-    """
-    say = progress or quiet
-    say(0.0, "fit of the model as it is")
-    whole = fit_all_effects(model, y, rate_hz)
-    found = diagnose_point(whole.model, whole.point, y, say)
-    return replace(found, messages=(*found.messages, *whole.messages))
-
-
-def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
-    """The diagnosis from a fitted model. y : (n, channels), SI."""
+def judge_bearing(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> BearingJudgement:
+    """The judgement of the bearings from a fitted model. y : (n, channels), SI."""
     before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
     if before.disturbances and (as_it_is := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
@@ -165,7 +142,7 @@ def _ranked(
 def verdict_of_ranking(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.PartFit | None = None,
-) -> Diagnosis:  # fmt: skip
+) -> BearingJudgement:  # fmt: skip
     """The verdict of a ranking."""
     if not _is_claimed(entries) or _is_negligible(point, entries[0]):
         return verdict_without_law(point, before, tuple(entries))
@@ -176,11 +153,13 @@ def verdict_of_ranking(
         if best.effect in PERIODIC_EFFECTS:
             say(0.85, f"{best.effect} and the model fitted together")
             entries[0] = _with_joint_fit(model, point, before, best)
-        return Diagnosis(best.effect, tuple(entries), separates=separation_text(entries), messages=best.notes)
+        return BearingJudgement(best.effect, tuple(entries), separates=separation_text(entries), messages=best.notes)
     return verdict_of_laws(model, point, before, entries, say, known)
 
 
-def _judged_spectrum(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
+def _judged_spectrum(
+    model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: BearingJudgement
+) -> BearingJudgement:
     """The diagnosis that names a spectral shape, kept if the shape passes its gate."""
     best, *others = found.ranking
     result = gate_spectrum.spectrum_gate(model, point, y, before, best)
@@ -191,7 +170,7 @@ def _judged_spectrum(model: Model, point: WorkingPoint, y: Array, before: Missin
     how_much = f"{100 * result.misfit_rel:.0f} %" if result.misfit_rel < 1.0 else "all"
     text = f"{best.effect} fits best but leaves {how_much} of the missing spectrum unexplained"
     said = (Message("nearest_leaves", text), *_regions(before), SPECTRUM_UNEXPLAINED)
-    return Diagnosis("unknown", (result.entry, *others), missing_force_curve(point, before), messages=said)
+    return BearingJudgement("unknown", (result.entry, *others), missing_force_curve(point, before), messages=said)
 
 
 def _shaft_loss(entries: Sequence[Entry]) -> tuple[float, float]:
@@ -218,7 +197,7 @@ def _with_joint_fit(model: Model, point: WorkingPoint, before: MissingForce, ent
 def verdict_of_laws(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.PartFit | None = None,
-) -> Diagnosis:  # fmt: skip
+) -> BearingJudgement:  # fmt: skip
     """The verdict among force laws: the first of the ranking, or one close behind it, that passes the residual gate."""
     left: dict[str, float] = {}
     for k in _rivals(entries):
@@ -253,7 +232,7 @@ def verdict_of_laws(
         f"{best.effect} fits best but leaves {100 * left[best.effect]:.0f} % of the state-dependent missing force "
         "unexplained: no law of the catalogue has this shape"
     )
-    return Diagnosis(
+    return BearingJudgement(
         "unknown",
         tuple(entries),
         missing_force_curve(point, before, (best.placed[0].at[0], gate_shape.own_state(best.placed[0].effect))),
@@ -261,17 +240,17 @@ def verdict_of_laws(
     )
 
 
-def _named(entries: list[Entry], k: int, left: dict[str, float]) -> Diagnosis:
+def _named(entries: list[Entry], k: int, left: dict[str, float]) -> BearingJudgement:
     """The diagnosis that names the k-th of the ranking. left : misfit of it and of those judged before it."""
     ranking = (entries[k], *entries[:k], *entries[k + 1 :])
     said = (*_passed_over(left), *_clipped(entries))
-    return Diagnosis(entries[k].effect, ranking, separates=separation_text(ranking), messages=said)
+    return BearingJudgement(entries[k].effect, ranking, separates=separation_text(ranking), messages=said)
 
 
 def _named_pair(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], pair: tuple[str, str],
     left: dict[str, float], say: Progress,
-) -> Diagnosis:  # fmt: skip
+) -> BearingJudgement:  # fmt: skip
     """The diagnosis that names the first of two laws of one state that together leave no misfit."""
     name, other = pair
     k = next(j for j, e in enumerate(entries) if e.effect == name)
@@ -331,7 +310,7 @@ def _is_little(before: MissingForce) -> bool:
     return value < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE or low <= 0.0
 
 
-def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
+def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> BearingJudgement:
     """The verdict "unknown" or "complete", with a hint where a shaft of another stiffness explains the record."""
     loss, nats = _shaft_loss(entries)
     shaft = []
@@ -355,11 +334,11 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
             not groups and before.disturbances and not point.data.measured_force
         ):  # beside one it is the path that is bent
             said.append(SPECTRUM_UNEXPLAINED)
-        return Diagnosis("unknown", entries, missing_force_curve(point, before), messages=tuple(said))
+        return BearingJudgement("unknown", entries, missing_force_curve(point, before), messages=tuple(said))
     if not before.looked_anywhere():
-        return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED_MESSAGE))
+        return BearingJudgement("unknown", entries, messages=(*shaft, missing_force.UNJUDGED_MESSAGE))
     forces = [_measured_force_message(point)] if point.data.measured_force else []
-    return Diagnosis("complete", entries, messages=(*shaft, *forces))
+    return BearingJudgement("complete", entries, messages=(*shaft, *forces))
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
