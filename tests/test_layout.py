@@ -38,9 +38,9 @@ ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identificat
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
 EFFECT_NAMING_FILES = 0  # files of estimator/ outside effects/ with an effect's name in a string: none is the aim
-ONE_WORD_CONSTANTS = {"estimator": 75, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 5  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 116  # constructions of classes in estimator/ with more than four positional arguments: none
+ONE_WORD_CONSTANTS = {"estimator": 15, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
+SAME_OPENINGS = 4  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 52  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",

@@ -25,7 +25,7 @@ from estimator.results import Fit, Parameter
 from .hertz_contact import PointContact, load_deflection, raceways
 from .rig import BearingGeometry, Model
 
-PRELOADS = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
+PRELOADS_M = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +218,15 @@ def curve(bearing: BearingGeometry, preload: float, reach: float | None = None, 
     secant: Array = np.where(x == 0.0, tangent, force / np.where(x == 0.0, 1.0, x))
     kL, kNL = taylor(bearing, preload, K_n)
     return Curve(
-        preload, x, force, tangent, secant, kL, kNL, _quadratic(x, tangent, reach), _quadratic(x, secant, reach)
+        preload=preload,
+        x=x,
+        force=force,
+        tangent=tangent,
+        secant=secant,
+        kL=kL,
+        kNL=kNL,
+        tangent_quadratic=_quadratic(x, tangent, reach),
+        secant_quadratic=_quadratic(x, secant, reach),
     )
 
 
@@ -272,11 +280,19 @@ def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | Non
         raise DataError("rig.bearing: no geometry; give balls, ball_diameter_mm, pitch_diameter_mm, groove_radius_mm")
     if preloads is None:
         own = () if bearing.preload is None else (bearing.preload,)
-        preloads = sorted({round(g, 12) for g in (*PRELOADS, *own)})
+        preloads = sorted({round(g, 12) for g in (*PRELOADS_M, *own)})
     inner, outer = raceways(bearing)
     rows = tuple(_fitted(bearing, _of_model(model) if fit is None else fit.parameters))
     curves = tuple(curve(bearing, g) for g in preloads)
-    return Theory(bearing, inner, outer, load_deflection(bearing), kinematics(bearing), curves, rows)
+    return Theory(
+        bearing=bearing,
+        inner=inner,
+        outer=outer,
+        K_n=load_deflection(bearing),
+        kinematics=kinematics(bearing),
+        curves=curves,
+        fitted=rows,
+    )
 
 
 def _of_model(model: Model) -> dict[str, Parameter]:
@@ -301,9 +317,11 @@ def _fitted(bearing: BearingGeometry, found: Mapping[str, Parameter]) -> list[Fi
         place = name.removesuffix(".kL")
         kNL = found.get(f"{place}.cubic.kNL")
         if kL.value is None or kL.value <= 0.0:
-            rows.append(FittedRow(place, kL, kNL, None, None, None))
+            rows.append(FittedRow(place=place, kL=kL, kNL=kNL, preload_implied=None, preload_sd=None, theory_kNL=None))
             continue
         g = (kL.value / unit) ** 2 * 1e-6
         sd = None if kL.sd is None else 2.0 * g * kL.sd / kL.value
-        rows.append(FittedRow(place, kL, kNL, g, sd, taylor(bearing, g)[1]))
+        rows.append(
+            FittedRow(place=place, kL=kL, kNL=kNL, preload_implied=g, preload_sd=sd, theory_kNL=taylor(bearing, g)[1])
+        )
     return rows

@@ -11,14 +11,14 @@ from estimator.arrays import Array, Complexes
 from .rig import Model, Shaft
 from .rotor import shaft_at_caps, shaft_matrix
 
-HARMONICS = 4  # of the shaft's turns to either side
-# A disc rings for seconds on its shaft. Along the path it is damped by as much as this at least: what happened before
-# the record or in a gap dies out, and what the filters leave of its resonance turns into no sidebands.
-DAMPED = 0.003  # of critical
-BLURRED = 0.03  # the same for a first look, which is linear in g: what is sought moves the resonance by more than that
-# Of the disc's resonance, between which a breathing shaft has too sharp a comb of lines to be judged, the caps hardly
-# move, and noise that is folded there bends the likelihood (to 0.8 and 1.1 of it a crack came out a third too small).
-NEAR = 0.6, 1.4
+HARMONIC_COUNT = 4  # of the shaft's turns to either side
+# The disc is damped by this share of critical at least, along the path: what happened before the record or in a gap
+# dies out, and the filters' remainder of its resonance makes no sidebands.
+MIN_DAMPING_RATIO = 0.003
+COARSE_DAMPING_RATIO = 0.03  # of a coarse fit, which is linear in the damping
+# Range of the disc's resonance in which a breathing shaft is not judged: the caps hardly move there, and aliased noise
+# biases the likelihood.
+NEAR_RESONANCE_REL = 0.6, 1.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Disc:
     @property
     def comb_hz(self) -> tuple[float, float]:
         """Where a model whose shaft breathes is not judged."""
-        return NEAR[0] * self.w0 / (2 * np.pi), NEAR[1] * self.w0 / (2 * np.pi)
+        return NEAR_RESONANCE_REL[0] * self.w0 / (2 * np.pi), NEAR_RESONANCE_REL[1] * self.w0 / (2 * np.pi)
 
     def at_caps(self, places: tuple[str, ...], w: Array | Complexes) -> Complexes:
         """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
@@ -71,7 +71,7 @@ class Disc:
 
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""
-        return replace(self, C=max(self.C, 2.0 * BLURRED * float(np.sqrt(self.K * self.m))))
+        return replace(self, C=max(self.C, 2.0 * COARSE_DAMPING_RATIO * float(np.sqrt(self.K * self.m))))
 
     def dynamic(self, w: Array) -> Complexes:
         """(f,) N/m at w rad/s."""
@@ -99,7 +99,7 @@ class Disc:
         returned = np.zeros(w.shape, complex)
         for turn in (speed, -speed):
             tail = np.zeros(w.shape, complex)
-            for k in range(HARMONICS, 0, -1):
+            for k in range(HARMONIC_COUNT, 0, -1):
                 tail = abs(first) ** 2 / (self.dynamic(w + k * turn) - mean - tail)
             beside += tail
             there = w + turn
@@ -118,5 +118,5 @@ def disc_of(model: Model) -> Disc | None:
     if model.shaft == "none" or m <= 0.0 or ks <= 0.0:
         return None
     own = float(shaft_matrix(model.shaft, 1.0)[2, 2])
-    C = max(own * cs, 2.0 * DAMPED * float(np.sqrt(own * ks * m)))
-    return Disc(model.shaft, ks, cs, m, C, own * ks)
+    C = max(own * cs, 2.0 * MIN_DAMPING_RATIO * float(np.sqrt(own * ks * m)))
+    return Disc(shaft=model.shaft, ks=ks, cs=cs, m=m, C=C, K=own * ks)

@@ -61,6 +61,17 @@ class EffectParameter:
     share: float = 1.0
 
 
+def amplitude(
+    name: str, unit: str, description: str, *, signed: bool = False, scale: str = "1", given: bool = False,
+    share: float = 1.0,
+) -> EffectParameter:  # fmt: skip
+    """A parameter that the law is proportional to: from 0, or of either sign where it is signed; 0 by default."""
+    return EffectParameter(
+        name=name, unit=unit, low=-np.inf if signed else 0.0, high=np.inf, default=0.0, description=description,
+        linear=True, scale=scale, given=given, share=share,
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
     """A physical effect or fault, and all that is known of it. Texts are printed by `rotorscope effects NAME`.

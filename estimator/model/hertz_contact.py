@@ -6,7 +6,7 @@ With kappa = a/b >= 1 the ellipse of contact, K and E complete elliptic integral
     F(rho)  = [(kappa^2 + 1) E - 2 K] / [(kappa^2 - 1) E] = |curvature difference| / sum
     delta*  = (2 K/pi) [pi / (2 kappa^2 E)]^(1/3)
     delta   = delta* [3 Q / (2 sum) . 2 (1 - nu^2)/E_young]^(2/3) . sum / 2
-    K       = Q / delta^1.5 = STEEL . sum^(-1/2) . delta*^(-3/2)
+    K       = Q / delta^1.5 = STEEL_CONTACT_MODULUS_PA . sum^(-1/2) . delta*^(-3/2)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .rig import BearingGeometry
 
 # Pa. The rounded constant of Harris, 2.15e5 N/mm^2, which gives the K_n of physics.md section 4. Unrounded,
 # (4 sqrt 2/3) E / (2 (1 - nu^2)) is 2.1446e5 N/mm^2 for E = 2.07e5 N/mm^2 and nu = 0.3: 0.25 % less.
-STEEL = 2.15e11
+STEEL_CONTACT_MODULUS_PA = 2.15e11
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,13 @@ def point_contact(first: tuple[float, float], second: tuple[float, float]) -> Po
     difference = abs((first[0] - first[1]) + (second[0] - second[1])) / total
     kappa = ellipse_ratio(difference)
     star = delta_star(kappa)
-    return PointContact(total, difference, kappa, star, STEEL * total**-0.5 * star**-1.5)
+    return PointContact(
+        curvature_sum=total,
+        curvature_difference=difference,
+        ellipse_ratio=kappa,
+        delta_star=star,
+        stiffness=STEEL_CONTACT_MODULUS_PA * total**-0.5 * star**-1.5,
+    )
 
 
 def raceways(bearing: BearingGeometry) -> tuple[PointContact, PointContact]:

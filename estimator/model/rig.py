@@ -20,7 +20,7 @@ NODES = ("bearing1", "bearing2")
 DIRECTIONS = ("x", "y")
 UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
 MOTION = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # kind of a sensor -> unit
-EMPTY: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
+NO_SETTINGS: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ class Model:
     ball_pass_order: float | None = None
     order_found: bool = False
     bearing: BearingGeometry | None = None
-    linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: EMPTY)
+    linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: NO_SETTINGS)
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
     name: str = ""

@@ -20,9 +20,9 @@ from .rig import DIRECTIONS, NODES, Model, Shaft
 
 Complex = NDArray[np.complex128]
 
-CHAIN: Array = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])
-BEAM: Array = np.array([[1.0, 1.0, -2.0], [1.0, 1.0, -2.0], [-2.0, -2.0, 4.0]])
-SHAFTS: dict[Shaft, Array] = {"chain": CHAIN, "beam": BEAM, "none": np.zeros((3, 3))}
+CHAIN_MATRIX: Array = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])
+BEAM_MATRIX: Array = np.array([[1.0, 1.0, -2.0], [1.0, 1.0, -2.0], [-2.0, -2.0, 4.0]])
+SHAFT_MATRICES: dict[Shaft, Array] = {"chain": CHAIN_MATRIX, "beam": BEAM_MATRIX, "none": np.zeros((3, 3))}
 
 
 def shaft_matrix(shaft: Shaft, stiffness: float) -> Array:
@@ -32,7 +32,7 @@ def shaft_matrix(shaft: Shaft, stiffness: float) -> Array:
         the whole span L with free ends; a rigid tilt then costs nothing. The same matrix with a damping in N s/m is
         the shaft's own damping.
     """
-    return stiffness * SHAFTS[shaft]
+    return stiffness * SHAFT_MATRICES[shaft]
 
 
 def lumped_shaft(positions: Array, bending_stiffness: float, slopes: str = "free") -> Array:
@@ -194,7 +194,7 @@ def assemble(model: Model) -> Assembly:
             if at:
                 K[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_stiffness)
                 C[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_damping)
-    return Assembly(tuple(dofs), np.diag(M), C, K, S)
+    return Assembly(dofs=tuple(dofs), M=np.diag(M), C=C, K=K, S=S)
 
 
 def linear_covariance(M: Array, C: Array, K: Array, Q: Array) -> Array:

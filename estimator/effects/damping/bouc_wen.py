@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def rates(
@@ -23,8 +21,16 @@ BOUC_WEN = Effect(
     name="bouc_wen",
     kind="memory",
     parameters=(
-        EffectParameter("k", "N/m", 0.0, INF, 0.0, "stiffness of the hysteretic branch before it slips", linear=True),
-        EffectParameter("slip", "m", 0.1, 8.0, 1.0, "deflection of that branch at which it slips", scale="x"),
+        amplitude("k", "N/m", "stiffness of the hysteretic branch before it slips"),
+        EffectParameter(
+            name="slip",
+            unit="m",
+            low=0.1,
+            high=8.0,
+            default=1.0,
+            description="deflection of that branch at which it slips",
+            scale="x",
+        ),
     ),
     equation="k z,  dz/dt = v - (|v| z + v |z|) / (2 slip)",
     signature=(

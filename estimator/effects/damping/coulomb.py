@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -18,7 +16,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 COULOMB = Effect(
     name="coulomb",
     kind="force",
-    parameters=(EffectParameter("fc", "N", 0.0, INF, 0.0, "friction force while sliding", linear=True),),
+    parameters=(amplitude("fc", "N", "friction force while sliding"),),
     equation="fc sgn v",
     signature=(
         "damping falls as the level rises; the missing force is a step in velocity; the displacement density is "

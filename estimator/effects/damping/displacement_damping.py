@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,7 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 DISPLACEMENT_DAMPING = Effect(
     name="displacement_damping",
     kind="force",
-    parameters=(EffectParameter("cx", "N s/m^3", 0.0, INF, 0.0, "damping per squared displacement", linear=True),),
+    parameters=(amplitude("cx", "N s/m^3", "damping per squared displacement"),),
     equation="cx x^2 v",
     signature="damping rises with level; the missing force is odd in velocity and acts only off the centre",
     confused_with=("quadratic_damping", "clearance"),

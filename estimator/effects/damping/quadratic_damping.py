@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,7 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 QUADRATIC_DAMPING = Effect(
     name="quadratic_damping",
     kind="force",
-    parameters=(EffectParameter("cq", "N s^2/m^2", 0.0, INF, 0.0, "quadratic damping", linear=True),),
+    parameters=(amplitude("cq", "N s^2/m^2", "quadratic damping"),),
     equation="cq v |v|",
     signature=(
         "damping rises with level; the missing force is a parabola of either sign against velocity and flat "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -24,24 +24,8 @@ STRIBECK = Effect(
     name="stribeck",
     kind="force",
     parameters=(
-        EffectParameter(
-            name="fc",
-            unit="N",
-            low=0.0,
-            high=math.inf,
-            default=0.0,
-            description="friction force at high sliding velocity",
-            linear=True,
-        ),
-        EffectParameter(
-            name="df",
-            unit="N",
-            low=0.0,
-            high=math.inf,
-            default=0.0,
-            description="excess of static over sliding friction, fs - fc",
-            linear=True,
-        ),
+        amplitude("fc", "N", "friction force at high sliding velocity"),
+        amplitude("df", "N", "excess of static over sliding friction, fs - fc"),
         EffectParameter(
             name="vs",
             unit="m/s",

@@ -22,9 +22,9 @@ from estimator.model.effect import Effect
 
 F = types.float64
 P = types.CPointer(F)
-FORCE = F(F, F, F, F, F, F, F, P)  # x, v, xo, vo, t, phase, s, p
-RATES = types.void(P, F, F, P, P, P)  # z, x, v, p, lin, dz
-MEMORY = F(P, F, F, P, P)  # z, x, v, p, lin
+FORCE_SIGNATURE = F(F, F, F, F, F, F, F, P)  # x, v, xo, vo, t, phase, s, p
+RATES_SIGNATURE = types.void(P, F, F, P, P, P)  # z, x, v, p, lin, dz
+MEMORY_SIGNATURE = F(P, F, F, P, P)  # z, x, v, p, lin
 
 
 @cache
@@ -33,7 +33,7 @@ def address(law: Callable[..., Any], kind: str = "force") -> int:
 
     Raises ModelError for a law that numba cannot compile.
     """
-    signature = {"force": FORCE, "rates": RATES, "memory": MEMORY}[kind]
+    signature = {"force": FORCE_SIGNATURE, "rates": RATES_SIGNATURE, "memory": MEMORY_SIGNATURE}[kind]
     on_disk = not law.__code__.co_filename.startswith("<")  # a law made from an expression has no file
     return machine_code(law, signature, law, cache=on_disk)
 
@@ -52,7 +52,7 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
             f"law {law.__name__} of {law.__code__.co_filename}: numba cannot compile it: {said}; "
             "use floats, the math module and the arguments of the seam (estimator/effect.py)"
         ) from error
-    _KEEP.append(compiled)
+    _KEPT_CODE.append(compiled)
     return int(compiled.address)
 
 
@@ -61,7 +61,7 @@ def ready() -> None:
     rise(1.0, 1.0, 1.0, True)
 
 
-_KEEP: list[Any] = []  # the code lives as long as its object
+_KEPT_CODE: list[Any] = []  # the code lives as long as its object
 
 
 def _caller(signature: Any, addresses: Sequence[int]) -> Any:
@@ -83,9 +83,9 @@ def _caller(signature: Any, addresses: Sequence[int]) -> Any:
     return args, generate
 
 
-_FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE, (7,))
-_RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES, (0, 3, 4, 5))
-_MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, (0, 3, 4))
+_FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE_SIGNATURE, (7,))
+_RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES_SIGNATURE, (0, 3, 4, 5))
+_MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY_SIGNATURE, (0, 3, 4))
 
 
 @intrinsic
@@ -166,7 +166,7 @@ def remembered(
     rate_hz: float,
     start: NDArray[np.float64] | float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The same from other states at the start (states,), and all states (n, states)."""
+    """(n,) N and (n, states): the force of a memory effect and its states, from given states at the start (states,)."""
     laws = _laws(effect)
     x, v, p, lin = (np.ascontiguousarray(z, dtype=np.float64) for z in (x, v, p, lin))
     out, states = np.empty_like(x), np.empty((x.size, effect.states))

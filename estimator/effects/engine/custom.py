@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dis
+from dataclasses import replace
 
 import numpy as np
 
 from estimator.arrays import Array
 from estimator.effects import NAMED
 from estimator.errors import ModelError
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter, amplitude
 from estimator.model.rig import EffectUse, Setting
 
 from .compiled import address
@@ -82,8 +83,7 @@ def custom_effect(use: EffectUse) -> Effect:
     _refuse_not_finite(effect, p)
     linear = _linear(effect, p)
     marked = tuple(
-        EffectParameter(q.name, q.unit, *_amplitude(s), 0.0, "amplitude", linear=True) if k in linear else q
-        for k, (q, s) in enumerate(zip(parameters, given, strict=True))
+        _with_limits(q, s) if k in linear else q for k, (q, s) in enumerate(zip(parameters, given, strict=True))
     )
     fields = {f: getattr(effect, f) for f in Effect.__dataclass_fields__}
     return Effect(**{**fields, "parameters": marked})
@@ -112,20 +112,29 @@ def _loaded(use: EffectUse, effect: Effect) -> Effect:
     return effect
 
 
-def _amplitude(s: Setting) -> tuple[float, float]:
-    low = -np.inf if s.low is None else s.low
-    return float(low), float(np.inf if s.high is None else s.high)
+def _with_limits(q: EffectParameter, s: Setting) -> EffectParameter:
+    """The parameter as an amplitude between the limits of its setting."""
+    own = amplitude(q.name, q.unit, "amplitude", signed=True)
+    return replace(own, low=own.low if s.low is None else s.low, high=own.high if s.high is None else s.high)
 
 
 def _parameter(name: str, unit: str, s: Setting) -> EffectParameter:
     """Search range in SI from min, max and value; without any, in natural sizes by the unit."""
     if s.value is None and s.low is None and s.high is None:
-        return EffectParameter(name, unit, -4.0, 4.0, 1.0, "of the user's law", scale=SCALE_OF_UNIT.get(unit, "1"))
+        return EffectParameter(
+            name=name,
+            unit=unit,
+            low=-4.0,
+            high=4.0,
+            default=1.0,
+            description="of the user's law",
+            scale=SCALE_OF_UNIT.get(unit, "1"),
+        )
     value = s.value if s.value is not None else 0.5 * ((s.low or 0.0) + (s.high or 0.0))
     wide = sorted((value / 30.0, value * 30.0)) if value else [-1.0, 1.0]
     low = s.low if s.low is not None else min(wide[0], value)
     high = s.high if s.high is not None else max(wide[1], value)
-    return EffectParameter(name, unit, low, high, value, "of the user's law")
+    return EffectParameter(name=name, unit=unit, low=low, high=high, default=value, description="of the user's law")
 
 
 def _start(q: EffectParameter, s: Setting) -> float:

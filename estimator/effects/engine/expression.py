@@ -2,7 +2,7 @@
 
 The text is parsed with `ast`, every node is checked against the lists below and rewritten (parameters become p[0],
 p[1], ...; numpy names become scalar code), and only the rewritten tree is compiled. There is no attribute access, no
-subscript, no string, no call of anything that is not in FUNCTIONS.
+subscript, no string, no call of anything that is not in FUNCTION_CODES.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numba import njit
 
 from estimator.errors import ModelError
 
-STATE = ("x", "v", "xo", "vo", "t", "phase")
-CONSTANTS = {"pi": math.pi, "e": math.e}
-LONGEST, MOST_NODES, DEEPEST = 1000, 300, 40
+STATE_NAMES = ("x", "v", "xo", "vo", "t", "phase")
+NUMBER_CONSTANTS = {"pi": math.pi, "e": math.e}
+MAX_LENGTH_CHARACTERS, MAX_NODE_COUNT, MAX_DEPTH_LEVELS = 1000, 300, 40
 
-FUNCTIONS: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar code
+FUNCTION_CODES: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar code
     **{
         name: (1, f"math.{name}")
         for name in (
@@ -56,10 +56,18 @@ FUNCTIONS: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar
     "clip": (3, "_clip"),
     "where": (3, "_where"),
 }
-OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.FloorDiv)
-COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
+OPERATOR_NODES = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.FloorDiv)
+COMPARISON_NODES = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
 
-SIGNS = {"BitXor": "^", "BitAnd": "&", "BitOr": "|", "LShift": "<<", "RShift": ">>", "MatMult": "@", "Invert": "~"}
+OPERATOR_SIGNS = {
+    "BitXor": "^",
+    "BitAnd": "&",
+    "BitOr": "|",
+    "LShift": "<<",
+    "RShift": ">>",
+    "MatMult": "@",
+    "Invert": "~",
+}
 
 
 class ExpressionError(ModelError):
@@ -101,7 +109,7 @@ def _where(condition, a, b):  # type: ignore[no-untyped-def]
     return a if condition else b
 
 
-SCALARS = {
+SCALAR_FUNCTIONS = {
     "_sign": _sign,
     "_square": _square,
     "_power": _power,
@@ -121,7 +129,7 @@ class _Rewrite(ast.NodeTransformer):
     def generic_visit(self, node: ast.AST) -> ast.AST:
         allowed = (
             ast.Expression, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.UAdd, ast.USub, ast.Not,
-            ast.And, ast.Or, *OPERATORS, *COMPARISONS,
+            ast.And, ast.Or, *OPERATOR_NODES, *COMPARISON_NODES,
         )  # fmt: skip
         if not isinstance(node, allowed):
             raise ExpressionError(
@@ -130,7 +138,7 @@ class _Rewrite(ast.NodeTransformer):
         return super().generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
-        if not isinstance(node.op, OPERATORS):
+        if not isinstance(node.op, OPERATOR_NODES):
             at = (node.left.end_col_offset or node.left.col_offset) + 1
             remedy = "; a power is **" if isinstance(node.op, ast.BitXor) else ""
             raise ExpressionError(f"operator {_describe(node.op)} is not allowed{remedy}", at)
@@ -155,24 +163,24 @@ class _Rewrite(ast.NodeTransformer):
         self.used.add(node.id)
         if node.id in self.parameters:
             return ast.parse(f"p[{self.parameters.index(node.id)}]", mode="eval").body
-        if node.id in STATE:
+        if node.id in STATE_NAMES:
             return node
-        if node.id in CONSTANTS:
-            return ast.copy_location(ast.Constant(CONSTANTS[node.id]), node)
-        if node.id in FUNCTIONS:
+        if node.id in NUMBER_CONSTANTS:
+            return ast.copy_location(ast.Constant(NUMBER_CONSTANTS[node.id]), node)
+        if node.id in FUNCTION_CODES:
             raise ExpressionError(f"{node.id} is a function: {node.id}(...)", node.col_offset + 1)
-        known = ", ".join((*STATE, *self.parameters))
+        known = ", ".join((*STATE_NAMES, *self.parameters))
         raise ExpressionError(f'unknown name "{node.id}"; there are {known} and numpy functions', node.col_offset + 1)
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
-        if isinstance(node.func, ast.Attribute) and node.func.attr in FUNCTIONS:
+        if isinstance(node.func, ast.Attribute) and node.func.attr in FUNCTION_CODES:
             name = node.func.attr
             raise ExpressionError(f"write {name}(...), without a module before it", node.col_offset + 1)
-        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
+        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTION_CODES:
             what = f'"{node.func.id}"' if isinstance(node.func, ast.Name) else "this"
-            known = ", ".join(sorted(FUNCTIONS))
+            known = ", ".join(sorted(FUNCTION_CODES))
             raise ExpressionError(f"{what} is not one of the functions: {known}", node.col_offset + 1)
-        count, code = FUNCTIONS[node.func.id]
+        count, code = FUNCTION_CODES[node.func.id]
         if node.keywords or len(node.args) != count:
             raise ExpressionError(
                 f"{node.func.id} takes {count} argument(s), {len(node.args)} given", node.col_offset + 1
@@ -192,7 +200,7 @@ def _describe(node: ast.AST) -> str:
         ast.NamedExpr: "an assignment (:=)",
         ast.JoinedStr: "a text",
     }
-    return words.get(type(node)) or SIGNS.get(type(node).__name__, f"this ({type(node).__name__})")
+    return words.get(type(node)) or OPERATOR_SIGNS.get(type(node).__name__, f"this ({type(node).__name__})")
 
 
 def _depth(node: ast.AST) -> int:
@@ -227,22 +235,26 @@ def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[
         What is wrong, and its column from 1.
     """
     for name in parameters:
-        if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS:
+        if not name.isidentifier() or name in STATE_NAMES or name in FUNCTION_CODES or name in NUMBER_CONSTANTS:
             raise ExpressionError(f'a parameter cannot be called "{name}"; rename it', 1, name)
     text = expression.replace("\n", " ")
     lead = len(text) - len(text.lstrip())
     if not text.strip():
         raise ExpressionError("the expression is empty", 1)
-    if len(text) > LONGEST:
-        raise ExpressionError(f"the expression is longer than {LONGEST} characters", LONGEST + 1)
+    if len(text) > MAX_LENGTH_CHARACTERS:
+        raise ExpressionError(
+            f"the expression is longer than {MAX_LENGTH_CHARACTERS} characters", MAX_LENGTH_CHARACTERS + 1
+        )
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         ends = not getattr(error, "offset", None) or getattr(error, "lineno", 1) != 1
         column = len(text.strip()) + 1 if ends else int(getattr(error, "offset", 1))
         raise ExpressionError(f"not an expression: {getattr(error, 'msg', error)}", column + lead) from None
-    if sum(1 for _ in ast.walk(tree)) > MOST_NODES or _depth(tree) > DEEPEST:
-        raise ExpressionError(f"the expression is too involved (over {MOST_NODES} terms or {DEEPEST} levels)", 1)
+    if sum(1 for _ in ast.walk(tree)) > MAX_NODE_COUNT or _depth(tree) > MAX_DEPTH_LEVELS:
+        raise ExpressionError(
+            f"the expression is too involved (over {MAX_NODE_COUNT} terms or {MAX_DEPTH_LEVELS} levels)", 1
+        )
     rewrite = _Rewrite(parameters)
     try:
         body = ast.unparse(ast.fix_missing_locations(rewrite.visit(tree)))
@@ -251,9 +263,9 @@ def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[
     unused = [name for name in parameters if name not in rewrite.used]
     if unused:
         raise ExpressionError("the expression does not use it; write it there, or remove it", 1, unused[0])
-    if not rewrite.used & set(STATE):
-        raise ExpressionError(f"the law uses none of {', '.join(STATE)}: it would be a constant", 1)
-    namespace: dict[str, object] = {"math": math, **SCALARS}
+    if not rewrite.used & set(STATE_NAMES):
+        raise ExpressionError(f"the law uses none of {', '.join(STATE_NAMES)}: it would be a constant", 1)
+    namespace: dict[str, object] = {"math": math, **SCALAR_FUNCTIONS}
     source = f"def force(x, v, xo, vo, t, phase, s, p):\n    return float({body})\n"
     exec(compile(source, f"<law {text.strip()}>", "exec"), namespace)
     law = namespace["force"]

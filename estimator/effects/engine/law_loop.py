@@ -26,9 +26,20 @@ from estimator.model.effect import Effect
 from .compiled import machine_code
 
 F, P = types.float64, types.CPointer(types.float64)
-LOOP = F(P, P, P, P, P, P, F, F, F, F, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
-ADDRESS, NUMBER, WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
-TYPE = ctypes.CFUNCTYPE(NUMBER, *[ADDRESS] * 6, *[NUMBER] * 5, ADDRESS, ADDRESS, NUMBER, WHOLE, ADDRESS, ADDRESS, WHOLE)
+LOOP_SIGNATURE = F(P, P, P, P, P, P, F, F, F, F, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
+C_ADDRESS, C_DOUBLE, C_INTEGER = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
+LOOP_POINTER_TYPE = ctypes.CFUNCTYPE(
+    C_DOUBLE,
+    *[C_ADDRESS] * 6,
+    *[C_DOUBLE] * 5,
+    C_ADDRESS,
+    C_ADDRESS,
+    C_DOUBLE,
+    C_INTEGER,
+    C_ADDRESS,
+    C_ADDRESS,
+    C_INTEGER,
+)
 
 
 @cache
@@ -53,7 +64,9 @@ def compiled(law: Callable[..., float]) -> Callable[..., float]:
             total += tangent[i] if valid[i] else 0.0
         return total
 
-    return TYPE(machine_code(law, LOOP, loop, cache=version >= 0, fastmath={"reassoc", "contract"}))
+    return LOOP_POINTER_TYPE(
+        machine_code(law, LOOP_SIGNATURE, loop, cache=version >= 0, fastmath={"reassoc", "contract"})
+    )
 
 
 def _version(law: Callable[..., float]) -> int:

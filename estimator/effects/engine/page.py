@@ -7,7 +7,7 @@ import sys
 from estimator.effects import CATALOGUE
 from estimator.model.effect import Effect, EffectParameter
 
-KINDS = {
+KIND_TEXTS = {
     "force": "force on a cap",
     "memory": "force on a cap, with states of its own",
     "disc": "force on the disc",
@@ -15,7 +15,7 @@ KINDS = {
     "excitation": "shape of the unknown excitation",
     "sensor": "fault of a measured channel",
 }
-SIZES = {
+SCALE_TEXTS = {
     "x": "displacement rms",
     "v": "velocity rms",
     "a": "acceleration rms",
@@ -24,7 +24,7 @@ SIZES = {
     "sample": "sampling interval",
     "band": "upper band edge",
 }
-HEAD = """# Effects
+PAGE_HEAD = """# Effects
 
 Written from the catalogue by `python -m estimator.effects.engine.page`; change the file of the effect, not this page.
 
@@ -47,7 +47,7 @@ the rig file or the default.
 | effect | law | may be confused with | exp(-H/T) survives |
 |---|---|---|---|
 """
-OWN = """
+OWN_LAW_TEXT = """
 ## A law of your own
 
 By expression, in the rig file:
@@ -77,7 +77,7 @@ def _range(p: EffectParameter) -> str:
         return "amplitude, at least 0" if p.low == 0.0 else "amplitude"
     if p.given:
         return f"given, {p.low:g} to {p.high:g}, default {p.default:g}"
-    unit = f" x {SIZES[p.scale]}" if p.scale in SIZES else ""
+    unit = f" x {SCALE_TEXTS[p.scale]}" if p.scale in SCALE_TEXTS else ""
     known = "; from the geometry if known" if p.scale == "bpfo" else ""
     return f"search {p.low:g} to {p.high:g}{unit}, default {p.default:g}{known}"
 
@@ -90,7 +90,7 @@ def escape(text: str) -> str:
 def section(effect: Effect) -> str:
     """One effect as Markdown."""
     rows = "\n".join(f"| `{p.name}` | {p.unit} | {p.description} | {_range(p)} |" for p in effect.parameters)
-    where = KINDS[effect.kind] + (", one set for both directions" if effect.scope == "node" else "")
+    where = KIND_TEXTS[effect.kind] + (", one set for both directions" if effect.scope == "node" else "")
     return f"""
 ## {effect.name}
 
@@ -110,15 +110,20 @@ def section(effect: Effect) -> str:
 
 def markdown() -> str:
     """The whole page."""
-    from .expression import FUNCTIONS
+    from .expression import FUNCTION_CODES
 
     table = "".join(
         f"| [{e.name}](#{e.name}) | `{escape(e.equation)}` | {', '.join(e.confused_with)} "
         f"| {'-' if e.kind == 'sensor' else 'yes' if e.stationary_density else 'no'} |\n"
         for e in CATALOGUE.values()
     )
-    functions = ", ".join(f"`{name}`" for name in sorted(FUNCTIONS))
-    return HEAD + table + "".join(section(e) for e in CATALOGUE.values()) + OWN.replace("FUNCTIONS", functions)
+    functions = ", ".join(f"`{name}`" for name in sorted(FUNCTION_CODES))
+    return (
+        PAGE_HEAD
+        + table
+        + "".join(section(e) for e in CATALOGUE.values())
+        + OWN_LAW_TEXT.replace("FUNCTIONS", functions)
+    )
 
 
 if __name__ == "__main__":

@@ -16,10 +16,10 @@ from estimator.model.rotor import assemble, linear_covariance
 from .compiled import memory_array
 from .law_loop import force_array
 
-STATES = 4096  # Gaussian states that the rms of a law is taken over
+RMS_STATE_COUNT = 4096  # Gaussian states that the rms of a law is taken over
 
-WEAK, STRONG = 0.02, 0.06
-MOST_WEAK = 0.03  # a wanted fraction up to this is a weak case
+WEAK_SHARE, STRONG_SHARE = 0.02, 0.06  # of the rms bearing force, of a hidden effect
+WEAK_MAX_SHARE = 0.03  # a wanted fraction up to this is a weak case
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,18 +125,18 @@ def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0,
     if effect.kind == "memory":
         w = np.sqrt(at.kL / at.m)
         rate = 100.0 * w / (2 * np.pi)
-        t = np.arange(STATES) / rate
+        t = np.arange(RMS_STATE_COUNT) / rate
         x, v = np.sqrt(2) * at.x * np.sin(w * t), np.sqrt(2) * at.x * w * np.cos(w * t)
         f = memory_array(effect, p, np.array([at.m, at.kL, at.c]), x, v, rate)
-        return float(np.sqrt(np.mean(f[STATES // 2 :] ** 2)))
-    z = rng.standard_normal((4, STATES)) * np.array([at.x, at.v, at.x, at.v])[:, None]
-    t, phase = rng.uniform(0.0, seconds, STATES), rng.uniform(0.0, 200.0 * np.pi, STATES)
+        return float(np.sqrt(np.mean(f[RMS_STATE_COUNT // 2 :] ** 2)))
+    z = rng.standard_normal((4, RMS_STATE_COUNT)) * np.array([at.x, at.v, at.x, at.v])[:, None]
+    t, phase = rng.uniform(0.0, seconds, RMS_STATE_COUNT), rng.uniform(0.0, 200.0 * np.pi, RMS_STATE_COUNT)
     f = force_array(effect, p, z[0], z[1], z[2], z[3], t, phase)
     return float(np.sqrt(np.mean(f**2)))
 
 
 def strengths(
-    effect: Effect, at: Size, fraction: float = WEAK, model: Model | None = None, seconds: float = 60.0
+    effect: Effect, at: Size, fraction: float = WEAK_SHARE, model: Model | None = None, seconds: float = 60.0
 ) -> dict[str, float]:
     """Parameters of an effect of a wanted strength.
 
@@ -172,7 +172,7 @@ def strengths(
     p[linear[1:]] *= [effect.parameters[k].share for k in linear[1:]]
     for name, (weak, strong) in effect.typical.items():
         k = names.index(name)
-        value = weak if fraction <= MOST_WEAK else strong
+        value = weak if fraction <= WEAK_MAX_SHARE else strong
         if effect.parameters[k].scale != "shaft":
             p[k] = value * at.of(effect.parameters[k])
             return dict(zip(names, p.tolist(), strict=True))

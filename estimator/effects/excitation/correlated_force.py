@@ -19,7 +19,14 @@ CORRELATED_FORCE = Effect(
     name="correlated_force",
     kind="excitation",
     parameters=(
-        EffectParameter("rho", "1", -0.99, 0.99, 0.5, "correlation of the forces on both bearings in this direction"),
+        EffectParameter(
+            name="rho",
+            unit="1",
+            low=-0.99,
+            high=0.99,
+            default=0.5,
+            description="correlation of the forces on both bearings in this direction",
+        ),
     ),
     equation="cross spectrum of the forces = rho sqrt(S1 S2)",
     signature=(

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,15 +17,15 @@ LINE = Effect(
     name="line",
     kind="force",
     parameters=(
-        EffectParameter("a", "N", -INF, INF, 0.0, "force in phase with the cosine of time", linear=True),
-        EffectParameter("b", "N", -INF, INF, 0.0, "force in phase with the sine of time", linear=True),
+        amplitude("a", "N", "force in phase with the cosine of time", signed=True),
+        amplitude("b", "N", "force in phase with the sine of time", signed=True),
         EffectParameter(
-            "frequency",
-            "Hz",
-            0.01,
-            20.0,
-            0.7,
-            "frequency, which does not follow the shaft",
+            name="frequency",
+            unit="Hz",
+            low=0.01,
+            high=20.0,
+            default=0.7,
+            description="frequency, which does not follow the shaft",
             scale="hz_peak",
         ),
     ),

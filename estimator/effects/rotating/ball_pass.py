@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,23 +17,15 @@ BALL_PASS = Effect(
     name="ball_pass",
     kind="force",
     parameters=(
+        amplitude("k_cos", "N/m", "modulation of stiffness in phase with the cosine", signed=True),
+        amplitude("k_sin", "N/m", "modulation of stiffness in phase with the sine", signed=True),
         EffectParameter(
-            "k_cos",
-            "N/m",
-            -INF,
-            INF,
-            0.0,
-            "modulation of stiffness in phase with the cosine",
-            linear=True,
-        ),
-        EffectParameter("k_sin", "N/m", -INF, INF, 0.0, "modulation of stiffness in phase with the sine", linear=True),
-        EffectParameter(
-            "order",
-            "1",
-            0.3,
-            30.0,
-            2.1,
-            "ball passes per shaft turn; from the record if it shows one, or the geometry (BPFO)",
+            name="order",
+            unit="1",
+            low=0.3,
+            high=30.0,
+            default=2.1,
+            description="ball passes per shaft turn; from the record if it shows one, or the geometry (BPFO)",
             scale="bpfo",
         ),
     ),

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -21,8 +19,8 @@ BOW = Effect(
     name="bow",
     kind="shaft",
     parameters=(
-        EffectParameter("a", "N", -INF, INF, 0.0, "shaft force in phase with the tacho pulse", linear=True),
-        EffectParameter("b", "N", -INF, INF, 0.0, "shaft force a quarter turn ahead of it", linear=True, share=0.5),
+        amplitude("a", "N", "shaft force in phase with the tacho pulse", signed=True),
+        amplitude("b", "N", "shaft force a quarter turn ahead of it", signed=True, share=0.5),
     ),
     equation=(
         "force on the disc (a cos phi - b sin phi, a sin phi + b cos phi), minus half of it on each cap; "

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -18,18 +16,15 @@ CRACK = Effect(
     name="crack",
     kind="shaft",
     parameters=(
-        EffectParameter("loss", "N/m", -INF, INF, 0.0, "mean loss of shaft stiffness", linear=True, scale="shaft"),
-        EffectParameter(
+        amplitude("loss", "N/m", "mean loss of shaft stiffness", signed=True, scale="shaft"),
+        amplitude(
             "loss_cos",
             "N/m",
-            -INF,
-            INF,
-            0.0,
             "loss in phase with cos phi; hypot(loss_cos, loss_sin) = loss if it opens fully",
-            linear=True,
+            signed=True,
             share=0.6,
         ),
-        EffectParameter("loss_sin", "N/m", -INF, INF, 0.0, "loss in phase with sin phi", linear=True, share=0.8),
+        amplitude("loss_sin", "N/m", "loss in phase with sin phi", signed=True, share=0.8),
     ),
     equation="-(loss + loss_cos cos phi + loss_sin sin phi) (x_disc - mean of the caps)",
     signature=(

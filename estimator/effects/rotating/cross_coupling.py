@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,17 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 CROSS_COUPLING = Effect(
     name="cross_coupling",
     kind="force",
-    parameters=(
-        EffectParameter(
-            "k",
-            "N/m",
-            -INF,
-            INF,
-            0.0,
-            "cross-coupled stiffness; positive drives forward whirl",
-            linear=True,
-        ),
-    ),
+    parameters=(amplitude("k", "N/m", "cross-coupled stiffness; positive drives forward whirl", signed=True),),
     equation="(k y, -k x)",
     signature=(
         "forward sub-synchronous whirl at the resonance with less damping forward than backward; mean of x v_y - "

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -17,14 +15,8 @@ GYROSCOPIC = Effect(
     name="gyroscopic",
     kind="force",
     parameters=(
-        EffectParameter(
-            "g",
-            "N s/m",
-            -INF,
-            INF,
-            0.0,
-            "gyroscopic coefficient at the speed of the record (proportional to speed)",
-            linear=True,
+        amplitude(
+            "g", "N s/m", "gyroscopic coefficient at the speed of the record (proportional to speed)", signed=True
         ),
     ),
     equation="(g v_y, -g v_x)",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -21,16 +19,8 @@ IMBALANCE = Effect(
     name="imbalance",
     kind="disc",
     parameters=(
-        EffectParameter(
-            "a",
-            "N",
-            -INF,
-            INF,
-            0.0,
-            "force in phase with the tacho pulse, at the speed of the record",
-            linear=True,
-        ),
-        EffectParameter("b", "N", -INF, INF, 0.0, "force a quarter turn ahead of it", linear=True, share=0.5),
+        amplitude("a", "N", "force in phase with the tacho pulse, at the speed of the record", signed=True),
+        amplitude("b", "N", "force a quarter turn ahead of it", signed=True, share=0.5),
     ),
     equation=(
         "force on the disc (a cos phi - b sin phi, a sin phi + b cos phi),  hypot(a, b) = U Omega^2 with U = m e "

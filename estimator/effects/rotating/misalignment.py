@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -18,8 +16,8 @@ MISALIGNMENT = Effect(
     name="misalignment",
     kind="force",
     parameters=(
-        EffectParameter("a", "N", -INF, INF, 0.0, "force in phase with cos 2 phi", linear=True),
-        EffectParameter("b", "N", -INF, INF, 0.0, "force in phase with sin 2 phi", linear=True),
+        amplitude("a", "N", "force in phase with cos 2 phi", signed=True),
+        amplitude("b", "N", "force in phase with sin 2 phi", signed=True),
     ),
     equation="force on the cap a cos 2 phi + b sin 2 phi",
     signature="a line at twice shaft speed, stronger in one direction and at the coupling end",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -22,9 +20,17 @@ RUB = Effect(
     name="rub",
     kind="force",
     parameters=(
-        EffectParameter("k", "N/m", 0.0, INF, 0.0, "radial stiffness of the contact", linear=True),
-        EffectParameter("kt", "N/m", 0.0, INF, 0.0, "friction coefficient times k", linear=True, share=0.2),
-        EffectParameter("clearance", "m", 0.3, 4.0, 1.5, "radius of the orbit at which it touches", scale="x"),
+        amplitude("k", "N/m", "radial stiffness of the contact"),
+        amplitude("kt", "N/m", "friction coefficient times k", share=0.2),
+        EffectParameter(
+            name="clearance",
+            unit="m",
+            low=0.3,
+            high=4.0,
+            default=1.5,
+            description="radius of the orbit at which it touches",
+            scale="x",
+        ),
     ),
     equation="(r - clearance)_+ / r (k x - kt y, k y + kt x),  r = hypot(x, y)",
     signature=(

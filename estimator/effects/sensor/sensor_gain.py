@@ -21,7 +21,16 @@ def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.c
 SENSOR_GAIN = Effect(
     name="sensor_gain",
     kind="sensor",
-    parameters=(EffectParameter("error", "1", -3.0, 9.0, 0.1, "relative error; -2 is an inverted channel"),),
+    parameters=(
+        EffectParameter(
+            name="error",
+            unit="1",
+            low=-3.0,
+            high=9.0,
+            default=0.1,
+            description="relative error; -2 is an inverted channel",
+        ),
+    ),
     equation="measured = (1 + error) true",
     signature=(
         "one channel is too large or too small at all frequencies by the same factor; equal bearings look "

@@ -19,12 +19,12 @@ SENSOR_NOISE = Effect(
     kind="sensor",
     parameters=(
         EffectParameter(
-            "rms",
-            "m/s^2",
-            0.001,
-            3.0,
-            0.1,
-            "rms of white noise from 0 to half the sampling rate",
+            name="rms",
+            unit="m/s^2",
+            low=0.001,
+            high=3.0,
+            default=0.1,
+            description="rms of white noise from 0 to half the sampling rate",
             scale="a",
         ),
     ),

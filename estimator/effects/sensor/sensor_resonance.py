@@ -33,8 +33,10 @@ SENSOR_RESONANCE = Effect(
     name="sensor_resonance",
     kind="sensor",
     parameters=(
-        EffectParameter("frequency", "Hz", 0.1, 3.0, 0.7, "resonance", scale="band"),
-        EffectParameter("quality", "1", 1.0, 100.0, 10.0, "quality factor"),
+        EffectParameter(
+            name="frequency", unit="Hz", low=0.1, high=3.0, default=0.7, description="resonance", scale="band"
+        ),
+        EffectParameter(name="quality", unit="1", low=1.0, high=100.0, default=10.0, description="quality factor"),
     ),
     equation="measured / true = 1 / (1 - (f / f0)^2 + i f / (f0 quality))",
     signature=(

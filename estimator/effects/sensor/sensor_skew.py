@@ -26,7 +26,17 @@ def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.c
 SENSOR_SKEW = Effect(
     name="sensor_skew",
     kind="sensor",
-    parameters=(EffectParameter("delay", "s", -10.0, 10.0, 1.0, "how late the channel is", scale="sample"),),
+    parameters=(
+        EffectParameter(
+            name="delay",
+            unit="s",
+            low=-10.0,
+            high=10.0,
+            default=1.0,
+            description="how late the channel is",
+            scale="sample",
+        ),
+    ),
     equation="measured(t) = true(t - delay)",
     signature="phase between this channel and the others grows in proportion to frequency; amplitudes are right",
     confused_with=("cross_coupling", "gyroscopic", "pedestal"),

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,17 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 ANISOTROPY = Effect(
     name="anisotropy",
     kind="force",
-    parameters=(
-        EffectParameter(
-            "kxy",
-            "N/m",
-            -INF,
-            INF,
-            0.0,
-            "cross stiffness, the same from x to y and from y to x",
-            linear=True,
-        ),
-    ),
+    parameters=(amplitude("kxy", "N/m", "cross stiffness, the same from x to y and from y to x", signed=True),),
     equation="(kxy y, kxy x)",
     signature=(
         "x and y are coherent; the principal axes of stiffness are turned away from the sensors; orbits are "

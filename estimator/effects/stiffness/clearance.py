@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -21,8 +19,10 @@ CLEARANCE = Effect(
     name="clearance",
     kind="force",
     parameters=(
-        EffectParameter("k", "N/m", 0.0, INF, 0.0, "stiffness added beyond the gap", linear=True),
-        EffectParameter("gap", "m", 0.02, 4.0, 1.0, "half of the clearance", scale="x"),
+        amplitude("k", "N/m", "stiffness added beyond the gap"),
+        EffectParameter(
+            name="gap", unit="m", low=0.02, high=4.0, default=1.0, description="half of the clearance", scale="x"
+        ),
     ),
     equation="k (|x| - gap)_+ sgn x",
     signature=(

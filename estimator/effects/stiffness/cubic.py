@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,7 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 CUBIC = Effect(
     name="cubic",
     kind="force",
-    parameters=(EffectParameter("kNL", "N/m^3", -INF, INF, 0.0, "cubic stiffness; positive hardens", linear=True),),
+    parameters=(amplitude("kNL", "N/m^3", "cubic stiffness; positive hardens", signed=True),),
     equation="kNL x^3",
     signature=(
         "the resonance moves with the level and its peak bends; the displacement density is flatter (hardening) "

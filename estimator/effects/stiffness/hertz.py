@@ -8,12 +8,14 @@ from functools import cache
 
 import numpy as np
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
-INF = float("inf")
 MOST_BALLS = 40
-_ANGLES = 2.0 * np.pi * np.arange(MOST_BALLS) / np.maximum(np.arange(MOST_BALLS + 1), 1)[:, None]
-COS, SIN = np.cos(_ANGLES), np.sin(_ANGLES)  # [balls, j]: tables, as trigonometry would be most of the cost
+_BALL_ANGLES = 2.0 * np.pi * np.arange(MOST_BALLS) / np.maximum(np.arange(MOST_BALLS + 1), 1)[:, None]
+BALL_COSINES, BALL_SINES = (
+    np.cos(_BALL_ANGLES),
+    np.sin(_BALL_ANGLES),
+)  # [balls, j]: tables, as trigonometry would be most of the cost
 
 
 @cache
@@ -27,9 +29,9 @@ def _law(known: int) -> Callable[..., float]:
         cx, cy = (x, xo) if s > 0.0 else (xo, x)
         total = 0.0
         for j in range(balls):
-            squeeze = g + cx * COS[balls, j] + cy * SIN[balls, j]
+            squeeze = g + cx * BALL_COSINES[balls, j] + cy * BALL_SINES[balls, j]
             squeeze = squeeze if squeeze > 0.0 else 0.0
-            total += squeeze * math.sqrt(squeeze) * (COS[balls, j] if s > 0.0 else SIN[balls, j])
+            total += squeeze * math.sqrt(squeeze) * (BALL_COSINES[balls, j] if s > 0.0 else BALL_SINES[balls, j])
         if g > 0.0:
             total -= 0.75 * balls * math.sqrt(g) * x
         return p[0] * total
@@ -44,31 +46,23 @@ HERTZ = Effect(
     name="hertz",
     kind="force",
     parameters=(
+        amplitude("k", "N/m^1.5", "load-deflection constant of one ball between both rings"),
         EffectParameter(
-            "k",
-            "N/m^1.5",
-            0.0,
-            INF,
-            0.0,
-            "load-deflection constant of one ball between both rings",
-            linear=True,
-        ),
-        EffectParameter(
-            "preload",
-            "m",
-            -2.0,
-            10.0,
-            1.5,
-            "radial preload of every ball; negative is clearance",
+            name="preload",
+            unit="m",
+            low=-2.0,
+            high=10.0,
+            default=1.5,
+            description="radial preload of every ball; negative is clearance",
             scale="x",
         ),
         EffectParameter(
-            "balls",
-            "1",
-            3.0,
-            40.0,
-            6.0,
-            "number of balls, one of them on the x axis",
+            name="balls",
+            unit="1",
+            low=3.0,
+            high=40.0,
+            default=6.0,
+            description="number of balls, one of them on the x axis",
             scale="balls",
             given=True,
         ),

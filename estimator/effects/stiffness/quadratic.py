@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,17 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 QUADRATIC = Effect(
     name="quadratic",
     kind="force",
-    parameters=(
-        EffectParameter(
-            "kq",
-            "N/m^2",
-            -INF,
-            INF,
-            0.0,
-            "quadratic stiffness; positive is stiffer for positive x",
-            linear=True,
-        ),
-    ),
+    parameters=(amplitude("kq", "N/m^2", "quadratic stiffness; positive is stiffer for positive x", signed=True),),
     equation="kq x^2",
     signature=(
         "skewed displacement density, second harmonics, and the missing force is even in x; with it goes a mean "

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -16,9 +14,7 @@ def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: f
 QUINTIC = Effect(
     name="quintic",
     kind="force",
-    parameters=(
-        EffectParameter("k5", "N/m^5", -INF, INF, 0.0, "fifth-power stiffness; positive hardens", linear=True),
-    ),
+    parameters=(amplitude("k5", "N/m^5", "fifth-power stiffness; positive hardens", signed=True),),
     equation="k5 x^5",
     signature=(
         "as cubic, but nearly nothing inside one standard deviation and much at the ends of the range: only the "

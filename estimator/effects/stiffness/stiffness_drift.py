@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -17,10 +15,8 @@ STIFFNESS_DRIFT = Effect(
     name="stiffness_drift",
     kind="force",
     parameters=(
-        EffectParameter("rate", "N/m/s", -INF, INF, 0.0, "rate of change of stiffness at t = 0", linear=True),
-        EffectParameter(
-            "curvature", "N/m/s^2", -INF, INF, 0.0, "change of that rate per second", linear=True, share=0.0
-        ),
+        amplitude("rate", "N/m/s", "rate of change of stiffness at t = 0", signed=True),
+        amplitude("curvature", "N/m/s^2", "change of that rate per second", signed=True, share=0.0),
     ),
     equation="(rate t + curvature t^2 / 2) x",
     signature=(

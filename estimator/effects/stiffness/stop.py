@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter
-
-INF = float("inf")
+from estimator.model.effect import Effect, EffectParameter, amplitude
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,14 +17,14 @@ STOP = Effect(
     name="stop",
     kind="force",
     parameters=(
-        EffectParameter("k", "N/m", 0.0, INF, 0.0, "stiffness of the stop", linear=True),
+        amplitude("k", "N/m", "stiffness of the stop"),
         EffectParameter(
-            "gap",
-            "m",
-            -4.0,
-            4.0,
-            1.0,
-            "distance to the stop; its sign is the side that the stop is on",
+            name="gap",
+            unit="m",
+            low=-4.0,
+            high=4.0,
+            default=1.0,
+            description="distance to the stop; its sign is the side that the stop is on",
             scale="x",
         ),
     ),

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
-from estimator.effects.engine.expression import FUNCTIONS, ExpressionError, compile_law
+from estimator.effects.engine.expression import FUNCTION_CODES, ExpressionError, compile_law
 from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.identification.batch import spectral
@@ -65,7 +65,7 @@ def test_the_example_of_the_contract_equals_the_built_in_stop() -> None:
 def test_values_are_those_of_numpy(text: str, numpy_text: str | None) -> None:
     law, _ = compile_law(text, ("a", "b"))
     names = dict(zip(("x", "v", "xo", "vo", "t", "phase"), STATES, strict=True)) | {"a": 1.3, "b": 0.7}
-    expected = eval(numpy_text or text, {n: getattr(np, n) for n in [*FUNCTIONS, "pi"]}, names)
+    expected = eval(numpy_text or text, {n: getattr(np, n) for n in [*FUNCTION_CODES, "pi"]}, names)
     effect = replace(CATALOGUE["cubic"], force=law)
     found = force_array(effect, np.array([1.3, 0.7]), *STATES[:6])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
@@ -199,7 +199,7 @@ def test_no_text_gets_past_the_parser_in_any_other_way(text: str) -> None:
             "min",
             "sin",
             "tan",
-            *FUNCTIONS,
+            *FUNCTION_CODES,
         }
 
 

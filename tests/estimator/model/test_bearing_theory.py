@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 
 from estimator.errors import DataError
 from estimator.model.bearing_theory import curve, kinematics, radial_force, taylor, theory
-from estimator.model.hertz_contact import STEEL, delta_star, ellipse_ratio, load_deflection, point_contact, raceways
+from estimator.model.hertz_contact import (
+    STEEL_CONTACT_MODULUS_PA,
+    delta_star,
+    ellipse_ratio,
+    load_deflection,
+    point_contact,
+    raceways,
+)
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.results import Fit, Parameter
 
@@ -32,14 +39,14 @@ def test_delta_star_against_the_published_table(difference: float, published: fl
 def test_ball_on_plane_is_the_closed_form_of_hertz() -> None:
     """Sphere of radius R on a plane: Q = (4/3) E* sqrt(R) delta^1.5 (Johnson, Contact Mechanics, 1985, eq. 4.23)."""
     radius = 5e-3
-    e_star = STEEL * 3.0 / (4.0 * math.sqrt(2.0))  # the modulus E / (2 (1 - nu^2)) that Harris's constant stands for
+    e_star = STEEL_CONTACT_MODULUS_PA * 3.0 / (4.0 * math.sqrt(2.0))  # E / (2 (1 - nu^2))
     contact = point_contact((1.0 / radius, 1.0 / radius), (0.0, 0.0))
     assert contact.stiffness == pytest.approx(4.0 / 3.0 * e_star * math.sqrt(radius), rel=1e-9)
 
 
 def test_steel_constant_is_the_modulus_within_its_rounding() -> None:
     exact = 4.0 * math.sqrt(2.0) / 3.0 * 2.07e11 / (2.0 * (1.0 - 0.3**2))
-    assert pytest.approx(exact, rel=3e-3) == STEEL
+    assert pytest.approx(exact, rel=3e-3) == STEEL_CONTACT_MODULUS_PA
 
 
 def test_the_papers_bearing() -> None:
