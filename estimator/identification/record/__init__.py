@@ -1,5 +1,7 @@
-"""Faults of a record that need no model: clipped channels and their repair."""
+"""Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
 from .clipping import clipping_level, clipping_text
+from .findings import ChannelSummary, RecordFinding, RecordSurvey
+from .survey import survey_record
 
-__all__ = ["clipping_level", "clipping_text"]
+__all__ = ["ChannelSummary", "RecordFinding", "RecordSurvey", "clipping_level", "clipping_text", "survey_record"]

@@ -1,0 +1,347 @@
+"""Faults that one channel shows by itself: dead, frozen, clipped, coarse, with spikes, offset, or in a wrong unit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtri
+
+from estimator.arrays import Array
+from estimator.model.rig import MOTION, Channel
+
+from .channel_summary import power_spectrum, stretches, velocity_rms
+from .clipping import clipping_level
+from .findings import RecordFinding
+from .thresholds import THRESHOLDS, Thresholds
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
+LEVELS_SAMPLES = 1 << 17  # samples that the levels of a converter are counted in
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelRecord:
+    """The samples of one channel, and what several checks need of them.
+
+    Parameters
+    ----------
+    channel : Channel
+        The channel.
+    y : (n,) float64
+        Samples in SI units; NaN where one is missing.
+    rate_hz : float
+        Sampling rate, Hz.
+    limits : Thresholds
+        Limits of the checks.
+    """
+
+    channel: Channel
+    y: Array
+    rate_hz: float
+    limits: Thresholds = THRESHOLDS
+
+    @cached_property
+    def z(self) -> Array:
+        """(k,) the finite samples."""
+        return np.asarray(self.y[np.isfinite(self.y)])
+
+    @cached_property
+    def median(self) -> float:
+        """Median of the samples."""
+        return float(np.median(self.z))
+
+    @cached_property
+    def robust_sd(self) -> float:
+        """Standard deviation of a Gaussian signal with the median absolute deviation of the channel."""
+        return float(np.median(np.abs(self.z - self.median))) / GAUSSIAN_MAD
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the channel."""
+        return MOTION.get(self.channel.kind) or {"force": "N"}.get(self.channel.kind, "")
+
+    def finding(
+        self, code: str, text: str, rows: tuple[tuple[int, int], ...] = (), usable: bool = True
+    ) -> RecordFinding:
+        """A finding on this channel. text : what follows its name."""
+        name = self.channel.name
+        return RecordFinding(
+            code=code,
+            channels=(name,),
+            text=f"{name} {text}",
+            rows=rows,
+            places=(self.channel.place,),
+            unusable=() if usable else (name,),
+        )
+
+
+def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFinding]:
+    """Findings on one channel. A dead, frozen or coarse channel has no other one.
+
+    Parameters
+    ----------
+    record : ChannelRecord
+        The channel.
+    absurd : int
+        Number of samples that were left out because no sensor has such values.
+    """
+    found = []
+    if absurd:
+        found.append(
+            record.finding(
+                "absurd_values",
+                f"has {absurd} samples beyond {record.limits.max_value_si:g} {record.unit}, which are left out: check "
+                "its unit, its scale and its byte order",
+                usable=absurd < 0.01 * (absurd + record.z.size),
+            )
+        )
+    if (dead := _dead(record)) is not None:
+        return [*found, dead]
+    if record.channel.kind == "tacho":
+        return []
+    found += _spikes(record)
+    if record.channel.kind in MOTION:  # a force may rest, and may have two levels
+        for check in (_few_levels, _frozen):
+            if (fault := check(record)) is not None:
+                return [*found, fault]
+    return [*found, *(finding for check in _CHECKS for finding in check(record))]
+
+
+def _dead(record: ChannelRecord) -> RecordFinding | None:
+    """A channel without samples, or of one value."""
+    if record.z.size < 2:
+        return record.finding(
+            "empty_channel", "has no valid samples: check its cable and its signal in the rig file", usable=False
+        )
+    low, high = float(record.z.min()), float(record.z.max())
+    if low < high:
+        return None
+    what = "is zero throughout" if low == 0.0 else f"is constant at {low:g} {record.unit} throughout"
+    return record.finding("dead_channel", f"{what}: check the sensor, its supply and its cable", usable=False)
+
+
+def _frozen(record: ChannelRecord) -> RecordFinding | None:
+    """Stretches in which the channel stands still much longer than its own motion lets it."""
+    y, limits = record.y, record.limits
+    same = np.flatnonzero(np.diff(np.concatenate([[False], y[1:] == y[:-1], [False]])))
+    first, stop = same[::2], same[1::2] + 1
+    long = stop - first >= limits.min_frozen_samples
+    first, stop = first[long], stop[long]
+    if not first.size:
+        return None
+    up = int(np.count_nonzero((y[1:] > record.median) & (y[:-1] <= record.median)))
+    moving = record.z.size - int(np.sum(stop - first))
+    period = max(moving, 1) / max(up, 1)
+    frozen = [(int(a), int(b)) for a, b in zip(first, stop, strict=True) if b - a >= limits.min_frozen_periods * period]
+    if not frozen:
+        return None
+    share = sum(b - a for a, b in frozen) / record.z.size
+    a, b = max(frozen, key=lambda rows: rows[1] - rows[0])
+    more = f" and {len(frozen) - 1} more times" if len(frozen) > 1 else ""
+    return record.finding(
+        "frozen_channel",
+        f"is frozen: it stands still at {y[a]:.4g} {record.unit} from {a / record.rate_hz:.4g} s to "
+        f"{b / record.rate_hz:.4g} s{more} ({_per_cent(share)} of the record): leave this time out (--from, --to), "
+        "check the sensor and its cable",
+        tuple(frozen),
+        usable=share <= limits.max_frozen_share,
+    )
+
+
+def _few_levels(record: ChannelRecord) -> RecordFinding | None:
+    """A quantisation step that is coarse against the signal."""
+    part = record.z[:LEVELS_SAMPLES]
+    levels = np.unique(part)
+    if levels.size > 64:
+        return None
+    step, sd = float(np.median(np.diff(levels))) if levels.size > 1 else np.inf, float(np.std(part))
+    if levels.size > 2 and step <= record.limits.max_step_per_sd * sd:
+        return None
+    if levels.size <= 2:
+        what = "has only two values: one bit of information"
+    else:
+        what = f"has only {levels.size} levels, {step:.3g} {record.unit} apart, with an rms of {sd:.3g} {record.unit}"
+    return record.finding(
+        "few_levels",
+        f"{what}; use a smaller sensor range or more bits, and check bit position, length and scale of the signal",
+        usable=levels.size > 2 and step <= record.limits.max_step_per_sd_usable * sd,
+    )
+
+
+def _spikes(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """Single samples far outside all others; no vibration that passed an anti-alias filter has them."""
+    y, limits = record.y, record.limits
+    if record.z.size < 16 or record.robust_sd == 0.0:
+        return
+    with np.errstate(over="ignore"):
+        size = np.abs(y - record.median) / record.robust_sd
+    size = np.where(np.isfinite(size), size, np.where(np.isfinite(y), np.inf, 0.0))
+    rows = np.flatnonzero(size > limits.min_spike_sd)
+    if not rows.size or rows.size > 0.01 * y.size:
+        return
+    near = np.zeros(rows.size)
+    for shift in (-4, -3, -2, 2, 3, 4):  # a spike may have two samples
+        at = np.clip(rows + shift, 0, y.size - 1)
+        own = np.abs(at - rows) < 2
+        near = np.maximum(near, np.where(own, 0.0, size[at]))
+    rows = rows[size[rows] > limits.min_spike_ratio * np.maximum(near, 1.0)]
+    if not rows.size:
+        return
+    top = int(rows[np.argmax(size[rows])])
+    more = f", the largest of {rows.size}" if rows.size > 1 else ""
+    yield record.finding(
+        "spikes",
+        f"has a spike of {y[top]:.3g} {record.unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest has an "
+        f"rms of {record.robust_sd:.3g} {record.unit}: no vibration, remove it (NaN) and check the link and the cable",
+        tuple((int(row), int(row) + 1) for row in rows),
+    )
+
+
+def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """Samples at the rails."""
+    if record.channel.kind not in MOTION or (found := clipping_level(record.y)) is None:
+        return
+    level, count = found
+    share = count / record.z.size
+    text = f"is clipped at +-{level:.3g} {record.unit} in {_per_cent(share)} of its samples"
+    if share <= record.limits.max_clipped_share:
+        yield record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
+        return
+    advice = _range_to_take(record, level, share)
+    yield record.finding("clipped", f"{text}: no value is reliable; {advice}", usable=False)
+
+
+def _range_to_take(record: ChannelRecord, level: float, share: float) -> str:
+    """The sensor range that a clipped channel asks for: five standard deviations of the Gaussian signal that is beyond
+    the level for this share of time."""
+    if not 0.0 < share < 0.9:
+        return "use a much larger sensor range"
+    need = 5.0 * level / float(-ndtri(0.5 * share))
+    return f"use a sensor range of at least {float(f'{need:.2g}'):g} {record.unit}"
+
+
+def _offset(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """A mean that no sensor at rest has."""
+    mean, sd, limits = float(np.mean(record.z)), float(np.std(record.z)), record.limits
+    if record.channel.kind == "acceleration":
+        if abs(mean) > limits.max_offset_m_s2 and abs(abs(mean) / STANDARD_GRAVITY**2 - 1.0) < limits.gravity_error_rel:
+            yield record.finding(
+                "wrong_unit",
+                f"has a mean of {mean:.4g} m/s^2, gravity times 9.81: its samples are m/s^2 and the rig file says g",
+            )
+            return
+        if abs(abs(mean) - 1.0) < limits.gravity_error_rel and sd < 0.1:
+            yield record.finding(
+                "wrong_unit",
+                f"has a mean of {mean:.4g} m/s^2, as gravity has in g: check whether its unit is g",
+            )
+            return
+    big = record.channel.kind == "acceleration" and abs(mean) > max(limits.max_offset_m_s2, 3.0 * sd)
+    if big or abs(mean) > limits.max_offset_per_sd * sd:
+        yield record.finding(
+            "offset",
+            f"has a mean of {mean:.4g} {record.unit} and an rms about it of {sd:.3g} {record.unit}: check its offset, "
+            "the bias of the sensor, and the unit",
+        )
+
+
+def _wrong_unit(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """Values that no machine has. The median absolute deviation is asked where spikes would make the rms."""
+    kind, limits, sd = record.channel.kind, record.limits, float(np.std(record.z))
+    size = min(sd, 3.0 * record.robust_sd) if record.robust_sd > 0.0 else sd
+    what = ""
+    if kind == "acceleration":
+        if not limits.min_acceleration_rms <= size <= limits.max_acceleration_rms:
+            what = f"an rms of {size:.3g} m/s^2 ({size / STANDARD_GRAVITY:.2g} g)"
+        elif (v := velocity_rms(record.y, kind, record.rate_hz) or 0.0) > limits.max_velocity_rms and size > 0.5 * sd:
+            what = f"a velocity of {1e3 * v:.3g} mm/s rms from 10 to 1000 Hz"
+    elif kind == "velocity":
+        if not limits.min_velocity_rms_any <= size <= limits.max_velocity_rms:
+            what = f"an rms of {1e3 * size:.3g} mm/s"
+    elif kind == "displacement":
+        peak, follows = float(np.ptp(record.z)) / 2.0, _acceleration_of(record)
+        if size < limits.min_displacement_rms:
+            what = f"an rms of {size:.3g} m"
+        elif peak > limits.max_displacement_m and size > 0.5 * sd:
+            what = f"a displacement of +-{peak:.3g} m"
+        elif follows > limits.max_displacement_acceleration and size > 0.5 * sd:
+            what = f"an acceleration of {follows:.3g} m/s^2 rms by its displacement"
+    if what:
+        yield record.finding("wrong_unit", f"has {what}: no machine has that; check its unit and its scale")
+
+
+def _acceleration_of(record: ChannelRecord) -> float:
+    """rms of the acceleration, m/s^2, of a displacement channel below a tenth of the rate: above that it is noise."""
+    longest = max((stop - first for first, stop in stretches(record.y)), default=0)
+    if longest < 64:
+        return 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        f, psd, _ = power_spectrum(record.y, record.rate_hz, min(longest, 4096))
+        low = f < 0.1 * record.rate_hz
+        power = float(np.sum((psd * (2.0 * np.pi * f) ** 4)[low]) * f[1])
+    return float(np.sqrt(power)) if np.isfinite(power) else np.inf
+
+
+def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """Samples that repeat the one before more often than quantisation makes them."""
+    if record.channel.kind not in MOTION:
+        return
+    part = record.y[: 1 << 18]
+    inner = (part > record.z.min()) & (part < record.z.max())  # a clipped channel repeats its rails
+    step = np.abs(np.diff(np.where(inner, part, np.nan)))
+    step = step[np.isfinite(step)]
+    if step.size < 100:
+        return
+    share = float(np.mean(step == 0.0))
+    if share < record.limits.min_repeated_share or share > 0.999:
+        return
+    moved = step[step > 0.0]
+    least = float(np.quantile(moved, min(share, 0.5)))
+    sizes = np.unique(np.round(moved[moved <= least] / least, 3))
+    if sizes.size <= 20:  # the steps of a converter: neighbours are equal as its resolution is coarse
+        return
+    runs = np.diff(np.flatnonzero(np.append(True, step != 0.0)))
+    times = int(np.median(runs)) if runs.size else 1
+    if times > 1 and float(np.mean(runs == times)) > 0.8:
+        text = (
+            f"repeats each value {times} times: its true rate is {record.rate_hz / times:.5g} Hz, not "
+            f"{record.rate_hz:.5g} Hz; record at the sensor's own rate"
+        )
+    else:
+        text = f"repeats the sample before in {_per_cent(share)} of its samples: a link or a logger fills lost samples"
+    yield record.finding("repeated_samples", text)
+
+
+def _empty_spectrum(record: ChannelRecord) -> Iterator[RecordFinding]:
+    """A spectrum that holds not even the rounding of a converter above some frequency."""
+    longest = max((stop - first for first, stop in stretches(record.y)), default=0)
+    if longest < 1024 or record.channel.kind not in MOTION:  # a force may be smooth
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        f, psd, _ = power_spectrum(record.y, record.rate_hz, min(4096, longest))
+        floor = (np.ptp(record.z) * 2.0**-record.limits.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
+        full = np.flatnonzero(~(psd < floor))
+    edge = float(f[full[-1]]) if full.size else 0.0
+    if edge < record.limits.empty_spectrum_share * record.rate_hz:
+        yield record.finding(
+            "empty_spectrum",
+            f"has nothing above {edge:.4g} Hz, not even noise: it was resampled or smoothed from a lower rate; end the "
+            "band below that and do not use this rate for delays",
+        )
+
+
+def _per_cent(share: float) -> str:
+    """A share as the user reads it."""
+    return f"{100.0 * share:.2g} %" if share < 0.995 else "100 %"
+
+
+_CHECKS: tuple[Callable[[ChannelRecord], Iterator[RecordFinding]], ...] = (
+    _clipped,
+    _offset,
+    _wrong_unit,
+    _repeated,
+    _empty_spectrum,
+)

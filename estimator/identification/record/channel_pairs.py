@@ -1,0 +1,244 @@
+"""Faults that two channels show together: copies, wrong polarity, swapped kinds, a unit that differs, a lost level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.model.rig import MOTION
+
+from .channel_faults import ChannelRecord
+from .channel_summary import segments, stretches
+from .findings import RecordFinding
+from .thresholds import THRESHOLDS, Thresholds
+
+DERIVATIVE_ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}  # of the displacement
+UNIT_FACTORS = {  # between two units that are mixed up
+    9.80665: "g taken for m/s^2",
+    1000.0: "a factor of 1000, such as mm for m",
+    25.4: "inches taken for millimetres",
+    1e6: "a factor of 1e6, such as um for m",
+}
+SEGMENT_SAMPLES = 1024  # of the spectra of two channels
+MIN_SEGMENTS = 16  # a coherence of 0.8 from noise has p = 0.2^15
+LEVEL_PIECES = 40  # of the record, for the level against time
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PairSpectra:
+    """Averaged spectra of two channels at (f,) frequencies in Hz."""
+
+    f: Array
+    first: Array
+    second: Array
+    cross: Complexes
+
+    @property
+    def coherence(self) -> Array:
+        """(f,) from 0 to 1."""
+        both = self.first * self.second
+        return np.abs(self.cross) ** 2 / np.where(both > 0.0, both, 1.0)
+
+
+def pair_spectra(a: Array, b: Array, rate_hz: float) -> PairSpectra | None:
+    """Spectra over the stretches that both channels have; None with too few segments. a, b : (n,)."""
+    longest = max((stop - first for first, stop in stretches(a + b)), default=0)
+    size = min(SEGMENT_SAMPLES, 1 << max(longest, 1).bit_length() - 1)
+    if size < 64:
+        return None
+    window = np.hanning(size + 1)[:-1]
+    sums, count = np.zeros((3, size // 2 + 1), np.complex128), 0
+    both = np.isfinite(a + b)
+    for one, other in zip(*(segments(np.where(both, z, np.nan), size) for z in (a, b)), strict=True):
+        p, q = (np.fft.rfft((z - z.mean(axis=1, keepdims=True)) * window) for z in (one, other))
+        sums += np.stack([np.sum(p * p.conj(), 0), np.sum(q * q.conj(), 0), np.sum(p.conj() * q, 0)])
+        count += len(one)
+    if count < MIN_SEGMENTS:
+        return None
+    sums /= count
+    f = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz))
+    return PairSpectra(f=f[3:], first=sums[0, 3:].real, second=sums[1, 3:].real, cross=sums[2, 3:])
+
+
+def find_pair_faults(
+    records: Sequence[ChannelRecord], band: tuple[float, float], limits: Thresholds = THRESHOLDS
+) -> list[RecordFinding]:
+    """Findings on pairs of channels.
+
+    Parameters
+    ----------
+    records : sequence of ChannelRecord
+        Channels that move; none that is dead, frozen or of few levels.
+    band : (float, float)
+        Analysed band, Hz.
+    limits : Thresholds
+        Limits of the checks.
+    """
+    found: list[RecordFinding] = []
+    copies: set[str] = set()
+    for a, b in combinations([r for r in records if r.channel.kind in (*MOTION, "force")], 2):
+        if {a.channel.name, b.channel.name} & copies:
+            continue
+        if (copy := _copy(a, b, limits)) is not None:
+            copies.update(copy.unusable)
+            found.append(copy)
+        elif a.channel.place == b.channel.place and {a.channel.kind, b.channel.kind} <= MOTION.keys():
+            found += _same_dof(a, b, band, limits)
+    kept = [r for r in records if r.channel.kind in MOTION and r.channel.name not in copies]
+    return found + _level_steps(kept, limits)
+
+
+def _spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
+    """Spectra of two channels, each over its largest value."""
+    return pair_spectra(a.y / _scale(a), b.y / _scale(b), a.rate_hz)
+
+
+def _scale(record: ChannelRecord) -> float:
+    """A size of the channel, for powers that neither overflow nor vanish."""
+    return float(np.max(np.abs(record.z))) or 1.0
+
+
+def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable: tuple[str, ...] = ()) -> RecordFinding:
+    """A finding on two channels."""
+    return RecordFinding(
+        code=code,
+        channels=(a.channel.name, b.channel.name),
+        text=text,
+        places=(a.channel.place, b.channel.place),
+        unusable=unusable,
+    )
+
+
+def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFinding | None:
+    """The second channel as a copy of the first one, but for gain and offset."""
+    both = np.isfinite(a.y) & np.isfinite(b.y)
+    if np.count_nonzero(both) < 64:
+        return None
+    p, q = a.y[both] / _scale(a), b.y[both] / _scale(b)
+    p, q = p - p.mean(), q - q.mean()
+    pp, qq, pq = float(p @ p), float(q @ q), float(p @ q)
+    if not pp * qq > 0.0 or 1.0 - pq * pq / (pp * qq) > limits.max_copy_residual_share:
+        return None
+    gain = pq / pp * _scale(b) / _scale(a)
+    residual = q - pq / pp * p
+    exact = float(residual @ residual) < 1e-12 * qq
+    if not exact:
+        spectra = _spectra(a, b)
+        if spectra is None or float(np.median(spectra.coherence)) < limits.min_copy_coherence:
+            return None
+    one, other = a.channel.name, b.channel.name
+    how = "identical" if exact and gain == 1.0 else f"a copy: {gain:.4g} times {one}"
+    polarity = ", with the polarity inverted" if gain < 0.0 else ""
+    return _finding(
+        "copied_channel",
+        a,
+        b,
+        f"{one} and {other} carry the same signal, one sensor ({other} is {how}{polarity}): {other} is not used; check "
+        "the cables and the signals in the rig file",
+        (other,),
+    )
+
+
+def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float], limits: Thresholds) -> list[RecordFinding]:
+    """What two sensors of one degree of freedom say of each other: b over a must be (j w)^(difference of order)."""
+    if (spectra := _spectra(a, b)) is None:
+        return []
+    use = (spectra.f >= band[0]) & (spectra.f <= min(band[1], 0.4 * a.rate_hz))
+    use &= spectra.coherence > limits.min_same_dof_coherence
+    if np.count_nonzero(use) < 4:
+        return []
+    orders = DERIVATIVE_ORDERS[b.channel.kind] - DERIVATIVE_ORDERS[a.channel.kind]
+    ratio = (spectra.cross / np.where(spectra.first > 0.0, spectra.first, 1.0))[use] * _scale(b) / _scale(a)
+    w = 2.0 * np.pi * spectra.f[use]
+    gain, spread = _gain(ratio / (1j * w) ** orders)
+    one, other = a.channel.name, b.channel.name
+    if orders and spread > 0.5:
+        _, spread_swapped = _gain(ratio * (1j * w) ** orders)
+        if spread_swapped < 0.2:
+            text = (
+                f"{one} and {other} are swapped: as measured, {one} is the {b.channel.kind} and {other} the "
+                f"{a.channel.kind}; check the kinds in the rig file, or the cables"
+            )
+            return [_finding("swapped_channels", a, b, text)]
+    if spread > 0.3:
+        return []
+    if gain.real < 0.0:
+        text = f"{one} and {other} of {a.channel.place} have opposite polarity: one sensor or one cable is inverted"
+        return [_finding("inverted_channel", a, b, text)]
+    size = abs(gain)
+    for factor, words in UNIT_FACTORS.items():
+        for expected in (factor, 1.0 / factor):
+            if abs(size / expected - 1.0) < limits.max_gain_error:
+                text = f"{one} and {other} of {a.channel.place} differ by a factor of {size:.4g}: {words}?"
+                return [_finding("wrong_unit", a, b, text)]
+    return []
+
+
+def _gain(values: Complexes) -> tuple[complex, float]:
+    """Median of complex gains, and their relative scatter about it."""
+    gain = complex(np.median(values.real), np.median(values.imag))
+    scatter = float(np.median(np.abs(values - gain)))
+    return gain, scatter / abs(gain) if abs(gain) > 0.0 else np.inf
+
+
+def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[RecordFinding]:
+    """Channels whose level drops or jumps while the others keep theirs."""
+    if len(records) < 2 or len(records[0].y) < 16 * LEVEL_PIECES:
+        return []
+    size = len(records[0].y) // LEVEL_PIECES
+    levels = np.array([_levels_db(r.y, size) for r in records])
+    out = []
+    for i, record in enumerate(records):
+        others = np.delete(levels, i, axis=0)
+        relative = levels[i] - np.mean(others, axis=0)
+        at, step = _largest_step(relative)
+        rest = np.array([_step_at(o, at) for o in others])
+        if abs(step) > limits.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
+            word, cause = ("drops", "a loose sensor or cable") if step < 0.0 else ("rises", "a loose contact")
+            name, time = record.channel.name, at * size / record.rate_hz
+            text = f"{name} {word} by {abs(step):.0f} dB at {time:.3g} s and the other channels do not: {cause}?"
+            out.append(
+                RecordFinding(
+                    code="level_step",
+                    channels=(name,),
+                    text=text,
+                    places=(record.channel.place,),
+                    rows=((at * size, len(record.y)),),
+                )
+            )
+    return out
+
+
+def _levels_db(y: Array, size: int) -> Array:
+    """(LEVEL_PIECES,) level of each piece in dB; NaN where half of the samples are missing."""
+    pieces = y[: size * LEVEL_PIECES].reshape(LEVEL_PIECES, size)
+    there = np.isfinite(pieces)
+    count = np.maximum(there.sum(axis=1), 1)
+    filled = np.where(there, pieces, 0.0)
+    largest = float(np.max(np.abs(filled))) or 1.0
+    filled /= largest
+    mean = filled.sum(axis=1) / count
+    power = np.sum(np.where(there, filled - mean[:, None], 0.0) ** 2, axis=1) / count
+    return np.where(2 * count > size, 10.0 * np.log10(np.maximum(power, 1e-30)), np.nan)
+
+
+def _largest_step(level: Array) -> tuple[int, float]:
+    """Piece at which the level steps most, and the step of the median in dB; four pieces on either side."""
+    steps = [(_step_at(level, at), at) for at in range(4, LEVEL_PIECES - 3)]
+    step, at = max(steps, key=lambda s: abs(s[0]))
+    return at, step
+
+
+def _step_at(level: Array, at: int) -> float:
+    """Median after a piece less the one before it, if nearly all pieces of either side lie on its own side."""
+    before, after = level[:at][np.isfinite(level[:at])], level[at:][np.isfinite(level[at:])]
+    if before.size < 3 or after.size < 3:
+        return 0.0
+    step = float(np.median(after) - np.median(before))
+    middle = 0.5 * (np.median(after) + np.median(before))
+    sides = np.sign(step) * np.concatenate([middle - before, after - middle])
+    return step if np.mean(sides > 0.0) > 0.9 else 0.0

@@ -1,0 +1,84 @@
+"""The record layer: is this record fit to be judged?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.model.rig import Channel, Model
+
+from .channel_faults import ChannelRecord, find_channel_faults
+from .channel_pairs import find_pair_faults
+from .channel_summary import stretches, summarise
+from .findings import RecordFinding, RecordSurvey
+from .thresholds import THRESHOLDS, Thresholds
+
+STILL_CODES = frozenset({"empty_channel", "dead_channel", "frozen_channel", "few_levels"})  # nothing to compare
+
+
+def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
+    """Level of every channel of a record, and what makes the record unfit to be judged.
+
+    Parameters
+    ----------
+    model : Model
+        The rig; its channels name the columns.
+    y : (n, channels) float64
+        Samples in SI units (tacho: any); NaN where a sample is missing. Any length.
+    rate_hz : float
+        Sampling rate, Hz.
+
+    Returns
+    -------
+    RecordSurvey
+        Summaries, findings, and the channels that no later layer may use. Nothing is raised.
+
+    References
+    ----------
+    Bendat and Piersol, Random Data, 4th ed., Wiley 2010, ch. 10 (data qualification); ISO 20816-1.
+    """
+    y = np.atleast_2d(np.asarray(y, np.float64))
+    y = y if y.shape[0] or y.shape[1] == len(model.channels) else np.zeros((0, len(model.channels)))
+    largest = THRESHOLDS.max_value_si
+    records, found = [], []
+    for k, channel in enumerate(model.channels):
+        z = np.where(np.isfinite(y[:, k]), y[:, k], np.nan)
+        own = ChannelRecord(channel=channel, y=np.where(np.abs(z) > largest, np.nan, z), rate_hz=rate_hz)
+        found += find_channel_faults(own, int(np.count_nonzero(np.abs(z) > largest)))
+        records.append(own)
+    still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
+    found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
+    found += _missing(model.channels, y, rate_hz, still, THRESHOLDS)
+    return RecordSurvey(
+        channels={r.channel.name: summarise(r.y, r.channel.kind, rate_hz) for r in records},
+        findings=tuple(found),
+        unusable=frozenset(name for finding in found for name in finding.unusable),
+    )
+
+
+def _missing(
+    channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set[str], limits: Thresholds
+) -> list[RecordFinding]:
+    """Missing samples: of one channel, and of all. Many short records in one have few between them."""
+    there = np.isfinite(y)
+    moving = [k for k, channel in enumerate(channels) if channel.name not in still]
+    if not moving or not len(y):
+        return []
+    any_there = there[:, moving].any(axis=1)
+    out = []
+    for k in moving:
+        share = float(np.mean(~there[any_there, k])) if any_there.any() else 0.0
+        if share > limits.max_missing_share:
+            name = channels[k].name
+            text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"
+            out.append(RecordFinding(code="missing_samples", channels=(name,), text=text, places=(channels[k].place,)))
+    spans = stretches(np.where(any_there, 0.0, np.nan))
+    share = 1.0 - float(np.mean(any_there))
+    if share > limits.max_missing_rows_share and len(spans) > 1:
+        longest = max(stop - first for first, stop in spans)
+        text = (
+            f"{100 * share:.2g} % of the rows are missing in {len(spans) - 1} gaps; the longest stretch without one "
+            f"has {longest / rate_hz:.3g} s: rotorscope info says why samples were lost"
+        )
+        out.append(RecordFinding(code="gaps", channels=tuple(channels[k].name for k in moving), text=text))
+    return out
