@@ -15,7 +15,7 @@ from estimator.model.rig import MOTION, Channel
 from .channel_summary import power_spectrum, stretches, velocity_rms
 from .clipping import clipping_level
 from .findings import RecordFinding
-from .thresholds import THRESHOLDS, Thresholds
+from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
@@ -41,7 +41,7 @@ class ChannelRecord:
     channel: Channel
     y: Array
     rate_hz: float
-    limits: Thresholds = THRESHOLDS
+    limits: Thresholds = RECORD_THRESHOLDS
 
     @cached_property
     def z(self) -> Array:
@@ -107,7 +107,7 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
         for check in (_few_levels, _frozen):
             if (fault := check(record)) is not None:
                 return [*found, fault]
-    return [*found, *(finding for check in _CHECKS for finding in check(record))]
+    return [*found, *(finding for check in _MOTION_CHECKS for finding in check(record))]
 
 
 def _dead(record: ChannelRecord) -> RecordFinding | None:
@@ -338,7 +338,7 @@ def _per_cent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 0.995 else "100 %"
 
 
-_CHECKS: tuple[Callable[[ChannelRecord], Iterator[RecordFinding]], ...] = (
+_MOTION_CHECKS: tuple[Callable[[ChannelRecord], Iterator[RecordFinding]], ...] = (
     _clipped,
     _offset,
     _wrong_unit,

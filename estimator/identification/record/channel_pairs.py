@@ -14,7 +14,7 @@ from estimator.model.rig import MOTION
 from .channel_faults import ChannelRecord
 from .channel_summary import segments, stretches
 from .findings import RecordFinding
-from .thresholds import THRESHOLDS, Thresholds
+from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 DERIVATIVE_ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}  # of the displacement
 UNIT_FACTORS = {  # between two units that are mixed up
@@ -65,7 +65,7 @@ def pair_spectra(a: Array, b: Array, rate_hz: float) -> PairSpectra | None:
 
 
 def find_pair_faults(
-    records: Sequence[ChannelRecord], band: tuple[float, float], limits: Thresholds = THRESHOLDS
+    records: Sequence[ChannelRecord], band: tuple[float, float], limits: Thresholds = RECORD_THRESHOLDS
 ) -> list[RecordFinding]:
     """Findings on pairs of channels.
 

@@ -11,7 +11,7 @@ from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
 from .channel_summary import stretches, summarise
 from .findings import RecordFinding, RecordSurvey
-from .thresholds import THRESHOLDS, Thresholds
+from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 STILL_CODES = frozenset({"empty_channel", "dead_channel", "frozen_channel", "few_levels"})  # nothing to compare
 
@@ -39,7 +39,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     """
     y = np.atleast_2d(np.asarray(y, np.float64))
     y = y if y.shape[0] or y.shape[1] == len(model.channels) else np.zeros((0, len(model.channels)))
-    largest = THRESHOLDS.max_value_si
+    largest = RECORD_THRESHOLDS.max_value_si
     records, found = [], []
     for k, channel in enumerate(model.channels):
         z = np.where(np.isfinite(y[:, k]), y[:, k], np.nan)
@@ -48,7 +48,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
         records.append(own)
     still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
     found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
-    found += _missing(model.channels, y, rate_hz, still, THRESHOLDS)
+    found += _missing(model.channels, y, rate_hz, still, RECORD_THRESHOLDS)
     return RecordSurvey(
         channels={r.channel.name: summarise(r.y, r.channel.kind, rate_hz) for r in records},
         findings=tuple(found),

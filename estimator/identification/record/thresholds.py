@@ -105,4 +105,4 @@ class Thresholds:
     min_repeated_share: float = 0.05
 
 
-THRESHOLDS = Thresholds()
+RECORD_THRESHOLDS = Thresholds()
