@@ -1,0 +1,169 @@
+"""What the machine layer says of a record: speed of the shaft, tones, strike trains, remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from estimator.results import Message
+
+SpeedSource = Literal["tacho", "record", "rig file"]
+ToneKind = Literal["order", "mains", "other"]
+StrikeName = Literal["BPFO", "BPFI", "BSF", "FTF", "other"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShaftSpeed:
+    """Mean speed of the shaft.
+
+    Parameters
+    ----------
+    value_rpm : float
+        Turns per minute.
+    sd_rpm : float
+        Standard deviation of `value_rpm`; of a speed from the rig file, the usual deviation from a nameplate.
+    source : {"tacho", "record", "rig file"}
+        "record": from the harmonics of the shaft in the spectra of the channels.
+    """
+
+    value_rpm: float
+    sd_rpm: float
+    source: SpeedSource
+
+    @property
+    def hz(self) -> float:
+        """Turns per second."""
+        return self.value_rpm / 60.0
+
+    @property
+    def sd_hz(self) -> float:
+        """Standard deviation of `hz`."""
+        return self.sd_rpm / 60.0
+
+    def to_json(self) -> dict[str, Any]:
+        """`value`, `sd` (rpm) and `source`."""
+        return {"value": self.value_rpm, "sd": self.sd_rpm, "source": self.source}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tone:
+    """A narrow line of the measured spectra.
+
+    Parameters
+    ----------
+    kind : {"order", "mains", "other"}
+        "order": a whole multiple of the shaft speed. "mains": a multiple of 50 or 60 Hz. "other": neither.
+    order : float or None
+        Frequency over the turns per second of the shaft; None where the speed is unknown.
+    frequency_hz : float
+        Hz.
+    amplitude : mapping of str to float
+        Channel -> peak amplitude in `unit`, for the channels in which the tone is significant.
+    unit : str
+        SI unit of the amplitudes.
+    p_value : float
+        Chance that noise of the record's spectrum has such a line anywhere in the record.
+    power_ratio : float
+        Power over the noise in the line's width, in the channel where this is largest.
+    """
+
+    kind: ToneKind
+    order: float | None
+    frequency_hz: float
+    amplitude: Mapping[str, float]
+    unit: str
+    p_value: float
+    power_ratio: float
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `tones` in the JSON of a diagnosis."""
+        return {
+            "kind": self.kind,
+            "order": self.order,
+            "frequency_hz": self.frequency_hz,
+            "amplitude": dict(self.amplitude),
+            "unit": self.unit,
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StrikeTrain:
+    """Repetitive impacts: a comb of lines in the spectrum of the squared envelope.
+
+    Parameters
+    ----------
+    name : {"BPFO", "BPFI", "BSF", "FTF", "other"}
+        Kinematic frequency of the bearing that the train has; "BSF" for a ball, which strikes once or twice a spin.
+    order : float or None
+        Strikes per turn of the shaft; None where the speed is unknown.
+    frequency_hz : float
+        Strikes per second.
+    slip_percent : float or None
+        Deviation from the kinematic order, per cent; None of a train that has no kinematic name.
+    channel : str
+        Channel in which the train is clearest.
+    band_hz : (float, float)
+        Band in which it is clearest there, Hz.
+    p_value : float
+        Chance that noise of the record's spectrum has such a comb in any channel and band, at any order searched.
+    severity : float
+        Depth of modulation: rms of the periodic part of the squared envelope in the band over its mean.
+    harmonics : int
+        Significant harmonics of the comb.
+    """
+
+    name: StrikeName
+    order: float | None
+    frequency_hz: float
+    slip_percent: float | None
+    channel: str
+    band_hz: tuple[float, float]
+    p_value: float
+    severity: float
+    harmonics: int
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `strikes` in the JSON of a diagnosis."""
+        return {
+            "name": self.name,
+            "order": self.order,
+            "frequency_hz": self.frequency_hz,
+            "slip_percent": self.slip_percent,
+            "channel": self.channel,
+            "band_hz": list(self.band_hz),
+            "p_value": self.p_value,
+            "severity": self.severity,
+            "harmonics": self.harmonics,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineSurvey:
+    """What turns, hums and strikes in a record.
+
+    Parameters
+    ----------
+    speed : ShaftSpeed or None
+        None: neither the record nor the rig file has a speed.
+    tones : tuple of Tone
+        Strongest first, at most ten.
+    strikes : tuple of StrikeTrain
+        Clearest first.
+    messages : tuple of Message
+        Remarks: a speed that the record contradicts, tones beyond the ten, what could not be searched and why.
+    """
+
+    speed: ShaftSpeed | None = None
+    tones: tuple[Tone, ...] = ()
+    strikes: tuple[StrikeTrain, ...] = ()
+    messages: tuple[Message, ...] = field(default=())
+
+    def to_json(self) -> dict[str, Any]:
+        """The value of the key `machine` in the JSON of a diagnosis."""
+        return {
+            "speed_rpm": None if self.speed is None else self.speed.to_json(),
+            "tones": [tone.to_json() for tone in self.tones],
+            "strikes": [train.to_json() for train in self.strikes],
+        }

@@ -1,0 +1,101 @@
+"""Gap-free pieces of one channel, all of one length, for spectra that are averaged over them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+
+BRIDGED_GAP_ROWS = 8  # missing rows that a straight line bridges: shorter than what a spectrum resolves
+MAX_BRIDGED_SHARE = 0.02  # of a channel's rows; a channel with more short gaps is cut at each of them
+MIN_PIECE_ROWS = 256
+MAX_PIECE_S = 60.0  # bounds memory; a resolution of 1/60 Hz is finer than the speed of any machine is constant
+
+
+class Pieces:
+    """Gap-free pieces of one channel.
+
+    Parameters
+    ----------
+    samples : (n,) float64
+        NaN where a sample is missing. It is not changed.
+    rate_hz : float
+        Rows per second.
+    max_seconds : float
+        Longest piece.
+    """
+
+    def __init__(self, samples: Array, rate_hz: float, max_seconds: float = MAX_PIECE_S) -> None:
+        self._samples = _bridged(samples)
+        runs = finite_runs(self._samples)
+        size = _common_size(runs[:, 1] - runs[:, 0], int(max_seconds * rate_hz)) if len(runs) else 0
+        self.size = _fast_size(size)
+        self.rate_hz = rate_hz
+        self.starts: list[int] = []
+        if self.size >= MIN_PIECE_ROWS:
+            for start, stop in runs:
+                count = (stop - start) // self.size
+                spare = (stop - start) - count * self.size
+                self.starts += [int(start + spare // 2 + i * self.size) for i in range(count)]
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @property
+    def seconds(self) -> float:
+        """Length of a piece, s."""
+        return self.size / self.rate_hz
+
+    def groups(self, max_rows: int = 1 << 21) -> Iterator[Array]:
+        """Some pieces at a time, (pieces, size), each less its mean: at most about `max_rows` samples."""
+        step = max(1, max_rows // max(self.size, 1))
+        for first in range(0, len(self.starts), step):
+            rows = np.stack([self._samples[s : s + self.size] for s in self.starts[first : first + step]])
+            yield rows - rows.mean(axis=1, keepdims=True)
+
+
+def finite_runs(samples: Array) -> NDArray[np.intp]:
+    """(runs, 2) first row and row after the last of each run of finite samples."""
+    return _true_runs(np.isfinite(samples))
+
+
+def _true_runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(runs, 2) first row and row after the last of each run of true rows."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2).astype(np.intp)
+
+
+def _bridged(samples: Array) -> Array:
+    """The samples with short gaps bridged by straight lines."""
+    missing = ~np.isfinite(samples)
+    if not missing.any() or missing.all():
+        return samples
+    edges = _true_runs(missing)
+    inner = (edges[:, 0] > 0) & (edges[:, 1] < samples.size)
+    short = edges[(edges[:, 1] - edges[:, 0] <= BRIDGED_GAP_ROWS) & inner]
+    count = int((short[:, 1] - short[:, 0]).sum())
+    if not 0 < count <= MAX_BRIDGED_SHARE * samples.size:
+        return samples
+    out = samples.copy()
+    rows = np.concatenate([np.arange(a, b) for a, b in short])
+    known = np.flatnonzero(~missing)
+    out[rows] = np.interp(rows, known, samples[known])
+    return out
+
+
+def _common_size(lengths: NDArray[np.intp], most: int) -> int:
+    """Rows of a piece: long and yet covering most of the runs of given lengths (rows)."""
+    sizes = np.unique(np.minimum(lengths, most))
+    sizes = sizes[:: max(1, sizes.size // 200)]
+    covered = np.array([(lengths // s).sum() * s for s in sizes])
+    return int(sizes[np.argmax(covered * np.sqrt(sizes))])
+
+
+def _fast_size(size: int) -> int:
+    """The largest size up to the given one whose FFT is fast."""
+    from scipy.fft import prev_fast_len
+
+    return int(prev_fast_len(size, real=True)) if size >= MIN_PIECE_ROWS else 0

@@ -1,0 +1,116 @@
+"""Averaged power spectra of one channel at several resolutions, with the noise about each bin.
+
+A speed that wanders spreads a line: at a coarse resolution the line is narrow again. A resonance is narrow at a coarse
+resolution too; the pieces tell it from a line, as the power of a line is steady from piece to piece and the power of
+noise is exponentially distributed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.special import fdtrc, gammaincinv
+
+from estimator.arrays import Array
+
+from .pieces import Pieces
+
+COARSER_BY = 4  # from one resolution to the next
+MIN_LEVEL_S, MIN_LEVEL_ROWS = 0.1, 256  # of a piece at the coarsest resolution
+NEAR_BINS, NEAR_REACH_BINS = 3, 8  # on either side of a bin, for the mean of the nearest noise
+FAR_REACH_BINS = 16  # on either side of a bin, for the median of the noise about it
+HANN_BIN_CORRELATION = 1.5  # equivalent noise bandwidth of a Hann window, bins
+NOISE_BINS = 8.0  # independent bins that the noise about a bin rests on, after that correlation
+LEAST_RATIO = 2.5  # power over noise below which a p-value is not computed
+EXPONENTIAL_MEAN_LOG = float(np.euler_gamma)  # log of the mean less mean of the log, of exponential variables
+EXPONENTIAL_SD_LOG = float(np.sqrt(np.pi**2 / 6 - 1))  # of that difference, times the root of the number of variables
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelSpectrum:
+    """Spectrum of one channel at one resolution, averaged over pieces.
+
+    Parameters
+    ----------
+    seconds : float
+        Length of a piece; bin k is at k / seconds Hz.
+    count : int
+        Pieces.
+    power : (bins,) float64
+        Squared peak amplitude of a tone at the bin, averaged over the pieces.
+    noise : (bins,) float64
+        Power of the noise about the bin.
+    mean_log : (bins,) float64
+        Mean over the pieces of the logarithm of a piece's power.
+    """
+
+    seconds: float
+    count: int
+    power: Array
+    noise: Array
+    mean_log: Array
+
+    def log_p(self, bins: NDArray[np.intp]) -> Array:
+        """(k,) natural logarithm of the chance that noise gives the power of some bins; 0 where the power is low."""
+        ratio = self.power[bins] / self.noise[bins]
+        out = np.zeros(ratio.shape)
+        high = ratio > LEAST_RATIO
+        p = fdtrc(2 * self.count, 2 * self.count * NOISE_BINS, ratio[high])
+        out[high] = np.log(np.maximum(p, 1e-300))
+        return out
+
+    def is_steady(self, k: int) -> bool:
+        """Whether the power of bin k varies less from piece to piece than that of noise, at 3 standard deviations."""
+        spread = np.log(self.power[k]) - self.mean_log[k]
+        return bool(spread < EXPONENTIAL_MEAN_LOG - 3.0 * EXPONENTIAL_SD_LOG / np.sqrt(self.count))
+
+
+def level_spectra(pieces: Pieces) -> list[LevelSpectrum]:
+    """Spectra of a channel, the finest resolution first."""
+    sizes: list[int] = []
+    size = pieces.size
+    least = max(MIN_LEVEL_ROWS, int(MIN_LEVEL_S * pieces.rate_hz))
+    while size >= least or (size and not sizes):
+        sizes.append(size)
+        size //= COARSER_BY
+    return [_level(pieces, size) for size in sizes if len(pieces)]
+
+
+def _level(pieces: Pieces, size: int) -> LevelSpectrum:
+    """The spectrum at one resolution. size : rows of a piece."""
+    window = np.hanning(size + 1)[:-1]
+    bins = size // 2 + 1
+    total, logs, count = np.zeros(bins), np.zeros(bins), 0
+    for group in pieces.groups():
+        cut = group[:, : group.shape[1] // size * size].reshape(-1, size)
+        cut = cut - cut.mean(axis=1, keepdims=True)
+        X = rfft(cut * window, axis=1)
+        P = X.real**2 + X.imag**2
+        total += P.sum(axis=0)
+        logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
+        count += len(P)
+    scale = (2.0 / window.sum()) ** 2
+    power = np.maximum(total / count * scale, 1e-300)
+    return LevelSpectrum(
+        seconds=size / pieces.rate_hz,
+        count=count,
+        power=power,
+        noise=local_noise(power, count),
+        mean_log=logs / count + np.log(scale),
+    )
+
+
+def local_noise(power: Array, count: int) -> Array:
+    """(bins,) noise about each bin: the larger of the mean of its near neighbours and the median further about it.
+
+    count : of spectra whose average the power is.
+    """
+    median = median_filter(power, 2 * FAR_REACH_BINS + 1, mode="nearest")
+    median *= count / gammaincinv(count, 0.5)
+    wide, inner = 2 * NEAR_REACH_BINS + 1, 2 * NEAR_BINS - 1
+    about, own = (uniform_filter1d(power, width, mode="nearest") * width for width in (wide, inner))
+    return np.maximum(np.maximum((about - own) / (wide - inner), median), 1e-300)

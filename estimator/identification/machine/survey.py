@@ -1,0 +1,76 @@
+"""The machine layer of a record: it needs spectra, and no resonance, mass or fitted model."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.model.rig import MOTION, Model
+from estimator.results import Message
+
+from .machine_survey import MachineSurvey, Tone
+from .pieces import Pieces
+from .spectra import level_spectra
+from .speed import shaft_speed
+from .tones import significant_lines, tones_of
+
+MAX_TONES_SHOWN = 10
+FORCE_UNIT = "N"
+MORE_TONES = "more_tones"  # tones beyond those shown
+NO_PIECES = "no_gap_free_piece"  # a channel has no run of samples that is long enough
+
+
+class ChannelsSurveyed(Protocol):
+    """What the machine layer asks of the record layer: the names of channels that are not to be used."""
+
+    @property
+    def unusable(self) -> frozenset[str]: ...
+
+
+def survey_machine(model: Model, y: Array, rate_hz: float, record: ChannelsSurveyed | None = None) -> MachineSurvey:
+    """Speed of the shaft, tones and strike trains of a record.
+
+    Parameters
+    ----------
+    model : Model
+        The rig; of it are used the channels, the nameplate speed and the geometry of the bearing.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``; NaN where a sample is missing. Rows of NaN may
+        separate many short records.
+    rate_hz : float
+        Rows per second.
+    record : RecordSurvey or None
+        What the record layer says; channels that it calls unusable are left out.
+
+    Returns
+    -------
+    MachineSurvey
+        Empty where no channel has a gap-free run of 256 samples.
+    """
+    units = {c.name: MOTION.get(c.kind, FORCE_UNIT) for c in model.channels if c.kind != "tacho"}
+    skipped = record.unusable if record is not None else frozenset()
+    columns = {c.name: i for i, c in enumerate(model.channels) if c.name in units and c.name not in skipped}
+    spectra, rms, messages = {}, {}, []
+    for name, i in columns.items():
+        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
+        if not len(pieces):
+            messages.append(Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name))
+            continue
+        spectra[name] = level_spectra(pieces)
+        rms[name] = float(np.nanstd(y[:, i]))
+    speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
+    tones = tones_of(significant_lines(spectra), speed, units, rms)
+    shown, more = _shown(tones)
+    return MachineSurvey(speed=speed, tones=shown, messages=(*messages, *remarks, *more))
+
+
+def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:
+    """The strongest tones, orders 1 and 2 among them, and the remark on the others."""
+    first = [t for t in tones if t.kind == "order" and t.order in (1.0, 2.0)]
+    others = [t for t in tones if t not in first][: max(0, MAX_TONES_SHOWN - len(first))]
+    shown = tuple(t for t in tones if t in first or t in others)
+    left = len(tones) - len(shown)
+    more = [Message(MORE_TONES, f"{left} weaker tones are not shown")] if left else []
+    return shown, more

@@ -1,0 +1,175 @@
+"""Narrow lines of the measured spectra: what they are, how large they are, how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.arrays import Array
+
+from .machine_survey import ShaftSpeed, Tone, ToneKind
+from .spectra import HANN_BIN_CORRELATION, LevelSpectrum
+
+MAX_FALSE_TONE_CHANCE = 1e-3  # of one false line in a record
+MIN_DAMPING_RATIO = 1e-3  # of a structure; a peak narrower than its resonance is a line
+HANN_HALF_POWER_BINS = 1.44  # width of a line under a Hann window
+LOBE_BINS = 2  # on either side of the bin of a line that hold its power
+EDGE_BINS = 3  # at 0 Hz and at half the rate in which no line is looked for
+MAX_LINES_PER_LEVEL = 400
+MAINS_HZ = (50.0, 60.0)
+MAX_MAINS_MULTIPLE = 12
+MAINS_TOLERANCE_REL = 1e-3  # deviation of a grid from its nominal frequency
+MAX_ORDER_TOLERANCE = 0.1  # of the shaft; a line is named an order only if the record places it better than this
+RESOLUTION_BINS = 1.0  # between a line and the frequency that it is said to have
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A significant line of one channel.
+
+    hz : Hz. half_width_hz : to either side, within which it is not resolved. amplitude : peak, in the channel's unit.
+    log_p : of the record, everything searched paid for. power_ratio : over the noise. narrow : whether it is no
+    resonance, because no structure is damped as little or because its power is steady.
+    """
+
+    channel: str
+    hz: float
+    half_width_hz: float
+    amplitude: float
+    log_p: float
+    power_ratio: float
+    narrow: bool
+
+
+def significant_lines(spectra: Mapping[str, Sequence[LevelSpectrum]]) -> list[Line]:
+    """Lines of all channels, clearest first; of what several resolutions show, the clearest.
+
+    spectra : channel -> its spectra.
+    """
+    searched = sum(level.power.size for levels in spectra.values() for level in levels)
+    lines: list[Line] = []
+    for channel, levels in spectra.items():
+        found = [line for level in levels for line in _lines_of(channel, level, float(np.log(max(searched, 1))))]
+        lines += _resolved(found)
+    return sorted(lines, key=lambda line: line.log_p)
+
+
+def _lines_of(channel: str, level: LevelSpectrum, log_searched: float) -> list[Line]:
+    """Significant peaks of one spectrum."""
+    P = level.power
+    inner = np.arange(EDGE_BINS, P.size - EDGE_BINS)
+    around = np.max([P[inner + d] for d in (-2, -1, 1, 2)], axis=0) if inner.size else np.empty(0)
+    peaks = inner[P[inner] > around] if inner.size else inner
+    log_p = level.log_p(peaks) + log_searched
+    clear = np.flatnonzero(log_p < np.log(MAX_FALSE_TONE_CHANCE))
+    clear = clear[np.argsort(log_p[clear])][:MAX_LINES_PER_LEVEL]
+    out = []
+    for k, own in zip(peaks[clear], log_p[clear], strict=True):
+        lobe = slice(k - LOBE_BINS, k + LOBE_BINS + 1)
+        power = np.maximum(P[lobe] - level.noise[k], 0.0)
+        hz = float(np.arange(lobe.start, lobe.stop) @ power / power.sum() / level.seconds)
+        damping = 0.5 * HANN_HALF_POWER_BINS / level.seconds / hz
+        out.append(
+            Line(
+                channel=channel,
+                hz=hz,
+                half_width_hz=RESOLUTION_BINS / level.seconds,
+                amplitude=float(np.sqrt(power.sum() / HANN_BIN_CORRELATION)),
+                log_p=float(own),
+                power_ratio=float(P[k] / level.noise[k]),
+                narrow=damping < MIN_DAMPING_RATIO or level.is_steady(int(k)),
+            )
+        )
+    return out
+
+
+def _resolved(lines: Iterable[Line]) -> list[Line]:
+    """Lines of one channel without those that a clearer one stands for."""
+    out: list[Line] = []
+    for line in sorted(lines, key=lambda line: line.log_p):
+        if all(abs(line.hz - o.hz) > 2.0 * max(line.half_width_hz, o.half_width_hz) for o in out):
+            out.append(line)
+    return out
+
+
+def tones_of(
+    lines: Sequence[Line], speed: ShaftSpeed | None, units: Mapping[str, str], rms: Mapping[str, float]
+) -> list[Tone]:
+    """Lines as tones: named, the same tone of several channels as one, strongest first.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+        Of all channels.
+    speed : ShaftSpeed or None
+        Of the shaft.
+    units : mapping of str to str
+        Channel -> SI unit.
+    rms : mapping of str to float
+        Channel -> standard deviation of its samples, the measure of strength.
+    """
+    mains = _mains_hz(lines, speed)
+    named = [(line, *_name(line, speed, mains)) for line in lines]
+    named = [entry for entry in named if entry[0].narrow or entry[1] != "other"]
+    out: list[tuple[float, Tone]] = []
+    while named:
+        line, kind, order = named[0]
+        same = [e for e in named if _is_same(e, named[0]) and units[e[0].channel] == units[line.channel]]
+        named = [e for e in named if e not in same]
+        amplitude: dict[str, float] = {}
+        for other, _, _ in same:
+            amplitude.setdefault(other.channel, other.amplitude)
+        share = max(a / max(rms[c], 1e-300) for c, a in amplitude.items())
+        tone = Tone(
+            kind=kind,
+            order=order,
+            frequency_hz=line.hz,
+            amplitude=amplitude,
+            unit=units[line.channel],
+            p_value=float(np.exp(max(line.log_p, -690.0))),
+            power_ratio=max(e[0].power_ratio for e in same),
+        )
+        out.append((share, tone))
+    return [tone for _, tone in sorted(out, key=lambda entry: -entry[0])]
+
+
+Named = tuple[Line, ToneKind, float | None]
+
+
+def _is_same(a: Named, b: Named) -> bool:
+    """Whether two named lines are one tone: one order, or one frequency within the resolution."""
+    if a[1] == b[1] == "order":
+        return a[2] == b[2]
+    return a[1] == b[1] and abs(a[0].hz - b[0].hz) <= max(a[0].half_width_hz, b[0].half_width_hz)
+
+
+def _name(line: Line, speed: ShaftSpeed | None, mains: float | None) -> tuple[ToneKind, float | None]:
+    """Kind and order of a line. mains : Hz of the grid; None where the record shows none."""
+    if speed is not None and (k := shaft_order(line.hz, line.half_width_hz, speed)):
+        return "order", float(k)
+    order = None if speed is None else line.hz / speed.hz
+    return ("mains" if mains is not None and _is_mains(line, mains) else "other"), order
+
+
+def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
+    """The shaft order that a line at a frequency is, 0 for none. half_width_hz : resolution of the record."""
+    k = round(hz / speed.hz)
+    tolerance = half_width_hz + 2.0 * k * speed.sd_hz
+    near = k >= 1 and abs(hz - k * speed.hz) <= tolerance and tolerance <= MAX_ORDER_TOLERANCE * speed.hz
+    return k if near else 0
+
+
+def _is_mains(line: Line, mains: float) -> bool:
+    """Whether a line is a multiple of the mains frequency (Hz)."""
+    k = round(line.hz / mains)
+    tolerance = 0.5 * line.half_width_hz + MAINS_TOLERANCE_REL * line.hz
+    return 1 <= k <= MAX_MAINS_MULTIPLE and abs(line.hz - k * mains) <= tolerance < 0.1 * mains
+
+
+def _mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
+    """The grid of whose multiples the record shows more, Hz; None without any that is no order of the shaft."""
+    free = [line for line in lines if speed is None or not shaft_order(line.hz, line.half_width_hz, speed)]
+    evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in MAINS_HZ])
+    return MAINS_HZ[int(np.argmax(evidence))] if evidence.any() else None
