@@ -168,7 +168,8 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     from estimator.diagnosis.comparison import compare
     from estimator.diagnosis.verdict import diagnose
 
-    from .analyse import comparison_text, diagnosis_text, step
+    from .analyse import comparison_text, step
+    from .diagnosis import diagnosis_text
 
     data = measure(log, rig, output.note)
     output.say(Rule("3  compare"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,13 @@ class Measurement:
     y : (n, channels of the rig) float64, SI; NaN where a sample is missing or at full scale.
     rate_hz : sampling rate, Hz.
     facts : heading -> text, for the head of a report.
+    started : time of the first row, UTC; None where the file does not state it.
     """
 
     y: NDArray[np.float64]
     rate_hz: float
     facts: dict[str, str]
+    started: datetime | None = None
 
 
 def measure(path: Path, rig: Rig, note: Callable[[str], None]) -> Measurement:
@@ -36,7 +39,7 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None]) -> Measurement:
         from daq.log.reader import read_log
 
         log = read_log(path)
-        return _measured(path, log.samples(rig, note), log.rate_hz)
+        return _measured(path, log.samples(rig, note), log.rate_hz, log.started)
     from .checks import checked
     from .formats import read
 
@@ -44,5 +47,8 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None]) -> Measurement:
     return _measured(path, record.si(), record.rate_hz)
 
 
-def _measured(path: Path, y: NDArray[np.float64], rate_hz: float) -> Measurement:
-    return Measurement(y, rate_hz, {"log": path.name, "record": f"{len(y) / rate_hz:.4g} s at {rate_hz:g} Hz"})
+def _measured(path: Path, y: NDArray[np.float64], rate_hz: float, started: datetime | None = None) -> Measurement:
+    facts = {"log": path.name, "record": f"{len(y) / rate_hz:.4g} s at {rate_hz:g} Hz"}
+    if started is not None:
+        facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
+    return Measurement(y, rate_hz, facts, started)

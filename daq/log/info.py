@@ -11,6 +11,8 @@ def info(log: Recording) -> dict[str, Any]:
     """As schemas/info.json, and more."""
     out: dict[str, Any] = {
         "schema": 1,
+        "log": str(log.path),
+        "started": None if log.started is None else log.started.isoformat(),
         "seconds": log.seconds,
         "rate_hz": log.rate_hz,
         "channels": list(log.channels),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,6 +60,7 @@ class Recording:
     growing : another process is writing the log; it was read up to `stop`.
     others : samples under a later description of the device that is no continuation of `info` (another rate, channels
         or unit); `counts` and `samples` leave them out like a gap.
+    started : time of the first sample, UTC; None where the log does not know it: an imported file states none.
     """
 
     path: Path
@@ -74,6 +77,7 @@ class Recording:
     findings: Findings = field(repr=False)
     growing: bool = False
     others: tuple[Other, ...] = ()
+    started: datetime | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -282,7 +286,7 @@ def read_log(path: str | Path, *, max_events: int = MOST_EVENTS) -> Recording:
         path=path, head=said.head, info=said.info, first=said.first or 0, stop=said.stop, lost_samples=said.lost,
         gaps=tuple(said.gaps), notices=tuple(said.notices), estimates=tuple(said.estimates),
         clocks=tuple(said.clocks), last_status=said.status, findings=findings,
-        growing=written and not findings.closed, others=tuple(said.others),
+        growing=written and not findings.closed, others=tuple(said.others), started=said.started(),
     )  # fmt: skip
 
 
@@ -300,6 +304,7 @@ class _Said:
         self.estimates: list[LoggedEstimate] = []
         self.clocks: list[tuple[int, ClockState]] = []
         self.others: list[Other] = []
+        self._first_block: RawBlock | None = None
         self._deviation = ""  # of the description in force from the first one
 
     @property
@@ -312,6 +317,7 @@ class _Said:
         match entry:
             case RawBlock():
                 self.first = entry.index if self.first is None else self.first
+                self._first_block = self._first_block or entry
                 self.stop = entry.stop
                 if self._deviation:
                     self._count_other(entry)
@@ -335,6 +341,18 @@ class _Said:
                     self.clocks.append((entry.index, entry.clock))
             case Head():
                 self.head = entry
+
+    def started(self) -> datetime | None:
+        """Time of the first sample, UTC."""
+        block, info, head = self._first_block, self.info, self.head
+        imported = head.metadata.get("command") == "import"
+        if block is None or info is None or imported or not head.wall_offset_ns:
+            return None
+        came_ns = block.part_host_ns[0] + head.wall_offset_ns  # of the last row of the first part
+        seconds = came_ns * 1e-9 - block.part_rows[0] / info.rate_hz - (block.index - (self.first or 0)) / info.rate_hz
+        with suppress(ValueError, OverflowError, OSError):  # of a hostile file
+            return datetime.fromtimestamp(seconds, UTC)
+        return None
 
     def _count_other(self, block: RawBlock) -> None:
         same = bool(self.others) and self.others[-1].what == self._deviation

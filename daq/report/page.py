@@ -19,11 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from daq.base.console import unfinished
+from daq.base.console.output import version
 from daq.base.contract.errors import LogError
 
 from . import curves as curves
@@ -143,10 +143,3 @@ def described(verdict: str) -> Any:
     from estimator.effects import CATALOGUE
 
     return CATALOGUE.get(verdict)
-
-
-def version() -> str:
-    try:
-        return metadata.version("rotorscope")
-    except metadata.PackageNotFoundError:
-        return "(not installed)"

@@ -306,7 +306,7 @@ def _bearing(table: BearingTable | None) -> BearingGeometry | None:
         balls=table.balls,
         ball_diameter=1e-3 * table.ball_diameter_mm,
         pitch_diameter=1e-3 * table.pitch_diameter_mm,
-        groove_radius=1e-3 * table.groove_radius_mm,
+        groove_radius=None if table.groove_radius_mm is None else 1e-3 * table.groove_radius_mm,
         preload=None if table.preload_um is None else 1e-6 * table.preload_um,
         contact_angle=radians(table.contact_angle_deg),
     )

@@ -16,6 +16,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from .bearings import GEOMETRIES, of_designation
 from .units import factor, foreign
 
 Positive = Annotated[float, Field(gt=0)]
@@ -105,14 +106,35 @@ class ShaftSpringTable(Table):
 
 
 class BearingTable(Table):
-    """Ball bearing geometry, for theory and kinematics. A negative preload is a clearance."""
+    """Ball bearing geometry: kinematics, and with the groove's radius theory. A negative preload is a clearance."""
 
+    designation: str | None = Field(default=None, description="of a bearing in our table, instead of its geometry")
     balls: Annotated[int, Field(ge=3, le=100)]
     ball_diameter_mm: Positive
     pitch_diameter_mm: Positive
-    groove_radius_mm: Positive
+    groove_radius_mm: Positive | None = Field(default=None, description="needed for theory alone")
     preload_um: float | None = None
     contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def by_designation(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(name := data.get("designation"), str):
+            return data
+        if (known := of_designation(name)) is not None:
+            return known | data
+        if {"balls", "ball_diameter_mm", "pitch_diameter_mm"} <= data.keys():
+            return data
+        raise ValueError(
+            f'designation "{name}" is not in our table ({", ".join(GEOMETRIES)}): give balls, ball_diameter_mm and '
+            "pitch_diameter_mm"
+        )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """The designation or the geometry is required."""
+        table = dict(handler.resolve_ref_schema(handler(schema)))
+        return table | {"anyOf": [{"required": ["designation"]}, {"required": table.pop("required")}]}
 
     @field_validator("pitch_diameter_mm")
     @classmethod
@@ -123,8 +145,8 @@ class BearingTable(Table):
 
     @field_validator("groove_radius_mm")
     @classmethod
-    def wider_than_the_ball(cls, value: float, info: ValidationInfo) -> float:
-        if value <= info.data.get("ball_diameter_mm", 0.0) / 2:
+    def wider_than_the_ball(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and value <= info.data.get("ball_diameter_mm", 0.0) / 2:
             raise ValueError("is not larger than half of ball_diameter_mm (a groove is about 0.52 ball diameters)")
         return value
 

@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from estimator.errors import DataError
+
 from .rig import BearingGeometry
 
 # Pa. The rounded constant of Harris, 2.15e5 N/mm^2, which gives the K_n of physics.md section 4. Unrounded,
@@ -83,6 +85,8 @@ def raceways(bearing: BearingGeometry) -> tuple[PointContact, PointContact]:
     ball = 2.0 / bearing.ball_diameter
     across = bearing.ball_diameter * math.cos(bearing.contact_angle)
     inner, outer = bearing.pitch_diameter - across, bearing.pitch_diameter + across
+    if bearing.groove_radius is None:
+        raise DataError("rig.bearing: the contact of ball and raceway needs groove_radius_mm; add it")
     groove = -1.0 / bearing.groove_radius
     return point_contact((ball, ball), (groove, 2.0 / inner)), point_contact((ball, ball), (groove, -2.0 / outer))
 

@@ -80,8 +80,8 @@ class BearingGeometry:
         Number of balls.
     ball_diameter, pitch_diameter : float
         m; the pitch circle goes through the centres of the balls.
-    groove_radius : float
-        m, of the raceways across the direction of rolling.
+    groove_radius : float or None
+        m, of the raceways across the direction of rolling. None: unknown; kinematics do without it.
     preload : float or None
         m, radial; below 0 a clearance. None: unknown.
     contact_angle : float
@@ -91,7 +91,7 @@ class BearingGeometry:
     balls: int
     ball_diameter: float
     pitch_diameter: float
-    groove_radius: float
+    groove_radius: float | None = None
     preload: float | None = None
     contact_angle: float = 0.0
 

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
@@ -27,6 +28,14 @@ REDRAW_S = 0.5  # so that the time goes on where nothing is told
 CONTROL_CHARACTERS = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
 # whoever read what we say has left: the pipe is closed, the terminal hung up
 READER_GONE_ERRNOS = (errno.EPIPE, errno.EIO)
+
+
+def version() -> str:
+    """Version of the package that is installed."""
+    try:
+        return metadata.version("rotorscope")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
 
 
 class Progress(Protocol):
@@ -91,6 +100,7 @@ class Output:
             self.say(*people)
         if self.json is None:
             return
+        value = ({"version": version()} | value) if "schema" in value else value
         text = json.dumps(finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         if self.json == "-":
             with unheard(sys.stdout):

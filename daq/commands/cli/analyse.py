@@ -60,7 +60,7 @@ def diagnose(
     verbose: Verbose = False,
 ) -> None:
     """Which effect is missing, ranked, with evidence; or "complete"; or "unknown" with the shape of what is missing."""
-    from daq.commands.analyse import diagnose as body
+    from daq.commands.diagnosis import diagnose as body
 
     body(Output(json, quiet, verbose), log, rig, html, rerun)
 
@@ -76,7 +76,7 @@ def improve(
     verbose: Verbose = False,
 ) -> None:
     """Compare, diagnose, add an effect and refit, until no effect improves the model; prints the error of each step."""
-    from daq.commands.analyse import improve as body
+    from daq.commands.diagnosis import improve as body
 
     body(Output(json, quiet, verbose), log, rig, out, html, rerun)
 

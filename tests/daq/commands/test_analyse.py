@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.commands.analyse import BELOW_DETECTION, diagnosis_text, ending, fitted, with_lines, with_verdict
+from daq.commands.analyse import fitted, with_lines
 from daq.commands.cli.app import main
+from daq.commands.diagnosis import BELOW_DETECTION, diagnosis_text, ending, with_verdict
 from daq.exchange.measurement import Measurement
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig

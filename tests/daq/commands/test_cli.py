@@ -225,6 +225,15 @@ def test_fit_by_score_matching_writes_a_rig(rig: Path, log: Path, tmp_path: Path
     arguments = ["fit", str(log), "--rig", str(rig), "--method", "score-matching", "--out", str(better)]
     assert main([*arguments, "--json", str(out), "--quiet"]) == 0
     kL = valid(out, "fit")["parameters"]["bearing1.x.kL"]["value"]
+    found = valid(out, "fit")
+    assert (found["log"], found["rig"], found["band"], found["rate_hz"]) == (
+        str(log),
+        str(rig),
+        [150.0, 8000.0],
+        25600.0,
+    )
+    assert found["started"].endswith("+00:00")
+    assert found["version"]
     assert kL == pytest.approx(10e6, rel=0.03)
     assert f"kL = {kL / 1e6:.9g}e6" in better.read_text()
 

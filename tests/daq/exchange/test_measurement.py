@@ -57,6 +57,7 @@ def test_the_rigs_channels_in_its_order_in_si(tmp_path: Path) -> None:
     data = measure(write(tmp_path / "a.mcap", counts()), rig(), said.append)
     np.testing.assert_allclose(data.y, counts()[:, [1, 0]] * SCALE)
     assert data.rate_hz == RATE
+    assert data.started is not None, "a log that was no import knows when it began"
     assert said == []
 
 

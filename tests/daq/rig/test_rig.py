@@ -1,6 +1,7 @@
 """The rig file: contract.md's own example, everything wrong at once, units, effects and where they act."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,17 @@ def test_every_shipped_rig_file_is_valid(path: Path) -> None:
     rig = load_rig(path)
     assert rig.path == path
     assert rig.model.places
+
+
+@pytest.mark.parametrize("designation", ["6205", "SKF 6205-2RS/C3"])
+def test_a_designation_stands_for_the_geometry_of_the_bearing(designation: str) -> None:
+    text = HEAD + CHANNELS + "[rig.bearing]\n"
+    bearing = Rig.parse(f'{text}designation = "{designation}"').model.bearing
+    assert bearing is not None
+    assert (bearing.balls, bearing.groove_radius) == (9, None)
+    own = Rig.parse(f'{text}designation = "{designation}"\npitch_diameter_mm = 39.5').model.bearing
+    assert own == replace(bearing, pitch_diameter=0.0395)
+    assert "give balls" in problems(f'{text}designation = "9999"')[0]
 
 
 def test_the_contracts_own_file_has_no_values_and_is_valid() -> None:

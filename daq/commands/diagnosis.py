@@ -1,0 +1,166 @@
+"""The bodies of diagnose and improve: what a record shows, and which effect a model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
+
+from estimator.effects import CATALOGUE
+from estimator.results import NOT_JUDGED
+
+if TYPE_CHECKING:
+    from estimator.diagnosis.verdict import Improvement
+
+from daq.base.console.output import Output, spare, write_whole
+from daq.base.console.tables import ladder_table, number
+from daq.base.contract.errors import ConfigError
+from daq.report.words import message_text
+from daq.rig.edit import with_effect, with_values
+from daq.rig.rig import Rig
+
+from .analyse import IN_USE, Pages, about, compared, given, origin, step
+
+_OUTSIDE_CATALOGUE = "the catalogue does not hold; type a law of your own into the rig file"
+_NO_LAW = "is not a law of a bearing: see the notes, and correct what they name first"
+BELOW_DETECTION = (
+    'an effect weaker than "detectable from" cannot be seen in a record of this length and level; a record four times '
+    "as long halves the limit"
+)
+
+
+def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
+    pages = Pages(html, rerun)
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE))
+    from estimator.diagnosis.verdict import diagnose as diagnose_model
+
+    with output.progress("diagnosing") as progress, about(log, data):
+        value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+    if pages:
+        now = compared(output, rig, data)
+        better = with_verdict(rig, value)
+        if better is None:
+            pages.write(rig, data, comparison=now, diagnoses=[value])
+        else:
+            after = compared(output, better, data)
+            ladder = [step(rig, now), step(better, after)]
+            pages.write(better, data, comparison=after, before=now, diagnoses=[value], ladder=ladder)
+    output.result(value | origin(log, rig_path, rig, data), *diagnosis_text(value), *pages.said())
+
+
+def with_verdict(rig: Rig, diagnosis: Mapping[str, Any]) -> Rig | None:
+    """The rig with the effect that a diagnosis names, as found; None if it names none."""
+    row = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
+    if row is None:
+        return None
+    values: dict[str, dict[str, dict[str, float]]] = {}  # by effect (of several lines each is one), by place
+    for full, p in row["parameters"].items():
+        if p["value"] is not None:
+            place, effect, parameter = full.rsplit(".", 2)
+            values.setdefault(effect, {}).setdefault(place, {})[parameter] = p["value"]
+    try:
+        for effect, own in (values or {row["effect"]: {}}).items():
+            known = next((u.at for u in rig.model.effects if u.name == effect), ())
+            new = [place for place in own if place not in known]
+            text = with_effect(rig, effect, new or row["at"], {p: own[p] for p in new})
+            rig = Rig.parse(text, rig.base, rig.path)
+    except ConfigError:  # there already, and named again for another reason
+        return None
+    return rig
+
+
+def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
+    """A diagnosis for people."""
+    from estimator.diagnosis.verdict import NO_LAW_CODES
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
+        table.add_column(Text(heading), overflow="fold")
+    for row in value["ranking"][:most]:
+        before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]
+        parameters = ", ".join(
+            f"{k} {number(p['value'], p['sd'])} {p['unit']}" for k, p in row["parameters"].items() if p["identifiable"]
+        )
+        seen = row.get("detectable_from")
+        limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""
+        cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", _p(row["p_value"]),
+                 f"{before:.2f} -> {after:.2f}", parameters, limit)  # fmt: skip
+        table.add_row(*(Text(c) for c in cells))
+    people: list[Any] = [table, ""] if value["ranking"] else []
+    people += [f"note: {message}" for message in value.get("messages", ())]
+    if value["verdict"] == "complete" and any("detectable_from" in row for row in value["ranking"]):
+        people.append(BELOW_DETECTION)
+    if value["verdict"] == "unknown" and value.get("shape"):
+        shape = value["shape"]
+        peak = max(map(abs, shape["force"]), default=0.0)
+        where = f" at {shape['channel']}" if "channel" in shape else ""
+        people.append(f"what is missing depends on {shape['against']}{where}, up to {peak:.3g} N; --html draws it")
+    name = value["verdict"]
+    known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
+    verdict = {
+        "complete": "the model is complete: nothing in the catalogue earns its place",
+        "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
+    }.get(name, f"missing: {name}; {known}")
+    return [*people, f"verdict: {name}", message_text(value, {NOT_JUDGED}) or verdict]
+
+
+def _p(value: float) -> str:
+    """Beyond 1e-20 the figures mean nothing."""
+    return "< 1e-20" if value < 1e-20 else f"{value:.2g}"
+
+
+def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
+    pages = Pages(html, rerun)
+    spare(out)
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improvement", *IN_USE))
+    from estimator.diagnosis.verdict import improve as improve_model
+
+    with output.progress("improving") as progress, about(log, data):
+        ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
+    value = ladder.to_json()
+    text, better = improved(rig, ladder)
+    write_whole(out, text)
+    if pages:
+        before = compared(output, rig, data)
+        now = compared(output, better, data) if len(ladder.rungs) > 1 else None
+        pages.write(
+            better, data, comparison=now or before, before=now and before, ladder=value["ladder"],
+            diagnoses=[d.to_json() for d in ladder.diagnoses], notes=value["messages"],
+        )  # fmt: skip
+    added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
+    said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
+    notes = [f"note: {message.text}" for message in ladder.messages]
+    people = [ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json(), added)]
+    people += [f"{out}: the improved rig file", *pages.said()]
+    output.result(value | origin(log, rig_path, rig, data), *people)
+
+
+def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
+    """Why an improvement stops, from its last diagnosis and what was added."""
+    from estimator.diagnosis.verdict import NO_LAW_CODES
+
+    verdict = last["verdict"]
+    if verdict == "complete":
+        return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
+    if text := message_text(last, {NOT_JUDGED}):
+        return text
+    if verdict == "unknown":
+        laid = message_text(last, NO_LAW_CODES)
+        return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE_CATALOGUE}"
+    if verdict in added:  # the last that one run adds
+        return "what the last model lacks was not examined: run improve again on the rig file that it wrote"
+    return f"the last diagnosis names {verdict}, which was not added"
+
+
+def improved(rig: Rig, ladder: Improvement) -> tuple[str, Rig]:
+    """The rig file of a ladder's last model with its fitted values."""
+    now = rig
+    for use in ladder.model.effects:
+        known = next((u for u in now.model.effects if u.name == use.name), None)
+        new = [place for place in use.at if known is None or place not in known.at]
+        if new:
+            now = Rig.parse(with_effect(now, use.name, new), now.base, now.path)
+    return (text := with_values(now, ladder.parameters)), Rig.parse(text, now.base, now.path)
