@@ -133,7 +133,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
     added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
     said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
     notes = [f"note: {message.text}" for message in ladder.messages]
-    people = [ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json(), added)]
+    people: list[Any] = [ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json(), added)]
     people += [f"{out}: the improved rig file", *pages.said()]
     output.result(value | origin(log, rig_path, rig, data), *people)
 
