@@ -6,7 +6,7 @@ moves a defect order by less than 0.5 %. Values in the rig file go first.
 
 from __future__ import annotations
 
-GEOMETRIES: dict[str, dict[str, int | float]] = {
+BEARING_GEOMETRIES: dict[str, dict[str, int | float]] = {
     # Case Western Reserve University Bearing Data Center, bearing information (SKF 6203-2RS JEM, 6205-2RS JEM)
     "6203": {"balls": 8, "ball_diameter_mm": 6.746, "pitch_diameter_mm": 28.50},
     "6205": {"balls": 9, "ball_diameter_mm": 7.940, "pitch_diameter_mm": 39.04},
@@ -25,7 +25,7 @@ def of_designation(name: str) -> dict[str, int | float] | None:
     """
     word = name.upper().replace("SKF", "").strip()
     first = word.split()[0].split("/")[0] if word else ""
-    for known, geometry in GEOMETRIES.items():
+    for known, geometry in BEARING_GEOMETRIES.items():
         rest = first.removeprefix(known)
         if first.replace("-", "").startswith(known) and not rest[:1].isdigit():
             return geometry

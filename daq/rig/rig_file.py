@@ -16,7 +16,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from .bearings import GEOMETRIES, of_designation
+from .bearings import BEARING_GEOMETRIES, of_designation
 from .units import factor, foreign
 
 Positive = Annotated[float, Field(gt=0)]
@@ -126,7 +126,7 @@ class BearingTable(Table):
         if {"balls", "ball_diameter_mm", "pitch_diameter_mm"} <= data.keys():
             return data
         raise ValueError(
-            f'designation "{name}" is not in our table ({", ".join(GEOMETRIES)}): give balls, ball_diameter_mm and '
+            f'designation "{name}" is not in our table ({", ".join(BEARING_GEOMETRIES)}): give balls, ball_diameter_mm and '
             "pitch_diameter_mm"
         )
 
