@@ -125,8 +125,9 @@ class BearingTable(Table):
             return known | data
         if {"balls", "ball_diameter_mm", "pitch_diameter_mm"} <= data.keys():
             return data
+        known_names = ", ".join(BEARING_GEOMETRIES)
         raise ValueError(
-            f'designation "{name}" is not in our table ({", ".join(BEARING_GEOMETRIES)}): give balls, ball_diameter_mm and '
+            f'designation "{name}" is not in our table ({known_names}): give balls, ball_diameter_mm and '
             "pitch_diameter_mm"
         )
 
