@@ -13,7 +13,6 @@ class Thresholds:
     max_p_value: float = 1e-3  # after counting all trials, for an effect to be claimed; no false alarm in 200 rotors
     further_bearing_max_p_value: float = 1e-2  # after counting all trials, for a second bearing to be named too
     parameter_cost_nats: float = 1.5  # what an idle parameter gains held in and loses held out
-    nats_per_clipped_sample: float = 10.0  # a clipped sample of a vibration makes 0.03 to 0.3 for a wrong law
     rival_nats: float = 10.0  # behind the first of the ranking, within which the shape of the misfit decides
     min_gain_nats: float = 5.0  # held out, where no force is missing: ln of the number of laws that a search tries
 

@@ -6,14 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
-import numpy as np
-
 from estimator.arrays import Array
 from estimator.model.rig import Model
-from estimator.results import Fit, Message
+from estimator.results import Fit
 from estimator.signals.shaft_angle import measured_phase
 
-from .record import clipping, declip
+from .record import survey_record, usable_record
 
 Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 
@@ -57,16 +55,10 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     >>> abs(stiffness.value - 1.0e7) < 4.0 * stiffness.sd
     True
     """
-    clipped = clipping.find_clipping(model, y)
-    y, errors = declip.restore_clipped(model, y, frozenset(place for s in clipped for place in s.at))
-    result = _FIT_METHODS[method](model, y, rate_hz)
-    restored = {place for place, error in errors.items() if error < np.inf}
-    notes = [
-        Message("clipped_restored", f"{s.region}: {declip.RESTORED_MESSAGE}", s.at[0])
-        if s.at[0] in restored else clipping.clipped_message(s)
-        for s in clipped
-    ]  # fmt: skip
-    return replace(result, messages=(*result.messages, *notes))
+    usable = usable_record(model, y, survey_record(model, y, rate_hz))
+    result = _FIT_METHODS[method](usable.model, usable.y, rate_hz)
+    parameters = dict(result.parameters) | dict(usable.parameters)
+    return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))
 
 
 def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:

@@ -8,7 +8,6 @@ from typing import Protocol
 
 from estimator.arrays import Array
 from estimator.likelihood.motion import harmonics
-from estimator.likelihood.motion.located_law import clipped_places as clipped_by
 from estimator.likelihood.path.whitening import Spectrum
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model
@@ -16,7 +15,6 @@ from estimator.parallel import map_threads
 
 from .finding import Finding, effect_use
 from .machine.lines import find_lines
-from .record.clipping import find_clipping
 from .structure.coupled_caps import find_coupled_sensor_faults
 from .structure.spectral_shape import find_spectral_shapes
 from .structure.transfer_faults import find_transfer_faults
@@ -53,8 +51,8 @@ def _coupled_sensor_faults(model: Model, point: WorkingPoint, y: Array, found: S
 DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults, _coupled_sensor_faults)
 
 
-def search(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Finding]:
-    """All findings in a record, clipped channels first, then the others by gain.
+def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
+    """All findings in a record, by gain.
 
     Parameters
     ----------
@@ -64,23 +62,16 @@ def search(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False
         The model fitted to the record.
     y : (n, channels) float64
         Samples in SI units, columns in the order of ``model.channels``.
-    everywhere : bool
-        Whether clipped channels and locations that cannot be judged are searched too, for a model that is known to
-        have these effects there. Otherwise a clipped channel has no other finding.
 
     Returns
     -------
     list of Finding
-        Strongest first behind the clipped channels.
+        Strongest first.
     """
-    clipped = find_clipping(model, y)
     found: list[Finding] = []
     for detector in DETECTORS:
         found += detector(model, point, y, found)
-    if not everywhere:
-        bad = {location for f in clipped for location in f.at} | clipped_by(model) | point.data.lost
-        found = [kept for f in found if (kept := _outside(f, bad, point)) is not None]
-    return clipped + sorted(found, key=lambda f: -f.gain_nats)
+    return sorted(found, key=lambda f: -f.gain_nats)
 
 
 def _with_findings(model: Model, found: Sequence[Finding]) -> Model:
@@ -112,15 +103,3 @@ def _without_lines(found: Sequence[Finding], model: Model, point: WorkingPoint) 
 
     hit = sorted({i for wave in waves for i in wave.tables})
     return replace(point, spectra=point.spectra | dict(zip(hit, map_threads(spectrum, hit), strict=True)))
-
-
-def _outside(found: Finding, bad: set[str], point: WorkingPoint) -> Finding | None:
-    """A finding without its part at bad locations; None if nothing remains. Only a periodic force has such parts."""
-    at = tuple(location for location in found.at if location not in bad)
-    if len(at) == len(found.at):
-        return found
-    if not at or found.effect not in harmonics.PERIODIC_EFFECTS:
-        return None
-    power_N2 = {i: P for i, P in found.power_N2.items() if point.data.places[i] not in bad}
-    settings = {location: own for location, own in found.settings.items() if location not in bad}
-    return replace(found, at=at, power_N2=power_N2, settings=settings)

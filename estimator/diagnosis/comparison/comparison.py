@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.record import clipping
+from estimator.identification.record import survey_record, usable_record
 from estimator.identification.residual import missing_force
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_model
@@ -118,15 +117,16 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Comparison:
     """Fit the model, then survey, free run, twin and curves."""
     say(0.0, "fit")
+    usable = usable_record(model, y, survey_record(model, y, rate_hz))
+    model, y = usable.model, usable.y
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = point_on_part(point, missing_force.SURVEY_S)
-    found, others, rmse, beside, nll = missing_force.survey_with(
+    found, _, rmse, beside, nll = missing_force.survey_with(
         part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
-    clipped = [clipping.clipped_message(s) for s in others if s.effect == SENSOR_CLIPPING.name]
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
@@ -143,18 +143,17 @@ def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Compar
         psd_distance_db=beside.psd_distance_db,
         pdf_distance=beside.pdf_distance,
         where=where,
-        adequate=found.looked_anywhere() and not found.any_found(),
+        adequate=not found.any_found(),
         curves=drawn,
         laws=laws,
         spectra=beside.spectra,
         densities=beside.densities,
         orbits=beside.orbits,
-        parameters=whole.parameters,
+        parameters=whole.parameters | dict(usable.parameters),
         simulation_rmse=rmse,
         messages=(
+            *usable.messages,
             *whole.messages,
-            *clipped,
-            *missing_force.unjudged_messages(found),
             *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
     )

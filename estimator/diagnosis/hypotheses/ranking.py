@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import CATALOGUE, LINE_NAMES, NAMED, found_by
+from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
@@ -25,7 +25,6 @@ from estimator.results import Message, Parameter
 from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
-FEW_CLIPPED = Message("clipped_too_few", "too few clipped samples to explain the effect ranked first")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,7 @@ class Entry:
 def ranked_entries(
     model: Model, point: WorkingPoint, trials: Sequence[Trial], before: MissingForce, others: Sequence[Finding] = ()
 ) -> list[Entry]:
-    """The ranking: one entry per effect, best first; a clipped channel before everything it may have caused."""
+    """The ranking: one entry per effect, best first."""
     tried = max(len(trials), 1)
     by_effect: dict[str, list[Trial]] = {}
     for t in trials:
@@ -100,18 +99,7 @@ def ranked_entries(
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN_EFFECT):
         out.append(_finding_entry(model, point, [s for s in others if s.effect == name], before))
-    return sorted(behind_impact_train(clipping_behind_laws(out), model.band[0]), key=lambda e: -e.score)
-
-
-def clipping_behind_laws(found: list[Entry]) -> list[Entry]:
-    """A few clipped samples stand behind a law with far more evidence than they could make."""
-    laws = max((e.gain for e in found if e.placed), default=0.0)
-    return [
-        replace(e, score=e.gain, notes=(*e.notes[:1], FEW_CLIPPED))
-        if found_by(e.effect) == "samples" and laws > THRESHOLDS.nats_per_clipped_sample * e.gain
-        else e
-        for e in found
-    ]
+    return sorted(behind_impact_train(out, model.band[0]), key=lambda e: -e.score)
 
 
 def behind_impact_train(found: list[Entry], low_hz: float) -> list[Entry]:
@@ -204,7 +192,6 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     part = sum(p for s in own for p in s.power_N2.values())
     settings = _layers(model, own)
-    first = float("inf") if found_by(own[0].effect) == "samples" else gain - THRESHOLDS.parameter_cost_nats * df
     return Entry(
         effect=own[0].effect,
         at=tuple(dict.fromkeys(p.split(".")[0] for s in own for p in s.at)),
@@ -214,7 +201,7 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
         before_percent=was,
         after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
         parameters=_named_parameters(settings),
-        score=first,
+        score=gain - THRESHOLDS.parameter_cost_nats * df,
         detectable=own[0].detectable,
         settings=settings,
         notes=tuple(

@@ -86,7 +86,6 @@ def open_locations(effect: Effect, model: Model, point: WorkingPoint) -> list[st
         if f"{s}.{effect.name}" not in taken
         and (effect.refines is None or f"{s}.{effect.refines}" in taken)
         and acted_on(effect, s, point.data)
-        and set(point.data.judged).issuperset(acted_on(effect, s, point.data))
     ]
 
 

@@ -21,7 +21,6 @@ from estimator.diagnosis.hypotheses.screen import (
     rank_on_record,
 )
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import found_by
 from estimator.errors import NotFiniteError
 from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
@@ -113,10 +112,6 @@ def judge_bearing(model: Model, point: WorkingPoint, y: Array, say: Progress = q
     if found.verdict in SPECTRAL_SHAPES:
         say(0.9, f"does {found.verdict} explain it?")
         return _judged_spectrum(model, point, y, before, found)
-    if found_by(found.verdict) == "samples":
-        best, *others = found.ranking
-        best = gate_spectrum.with_restored_samples(model, point, y, before, best)
-        return replace(found, ranking=(best, *others))
     return found
 
 
@@ -144,7 +139,7 @@ def verdict_of_ranking(
     known: gate_residual.PartFit | None = None,
 ) -> BearingJudgement:  # fmt: skip
     """The verdict of a ranking."""
-    if not _is_claimed(entries) or _is_negligible(point, entries[0]):
+    if not _is_claimed(entries) or _is_negligible(entries[0]):
         return verdict_without_law(point, before, tuple(entries))
     best = entries[0]
     if best.law is not None and best.law.kind != "shaft" and _shaft_loss(entries)[1] > best.gain:
@@ -236,14 +231,14 @@ def verdict_of_laws(
         "unknown",
         tuple(entries),
         missing_force_curve(point, before, (best.placed[0].at[0], gate_shape.own_state(best.placed[0].effect))),
-        messages=(Message("nearest_leaves", text), *_clipped(entries)),
+        messages=(Message("nearest_leaves", text),),
     )
 
 
 def _named(entries: list[Entry], k: int, left: dict[str, float]) -> BearingJudgement:
     """The diagnosis that names the k-th of the ranking. left : misfit of it and of those judged before it."""
     ranking = (entries[k], *entries[:k], *entries[k + 1 :])
-    said = (*_passed_over(left), *_clipped(entries))
+    said = _passed_over(left)
     return BearingJudgement(entries[k].effect, ranking, separates=separation_text(ranking), messages=said)
 
 
@@ -262,11 +257,6 @@ def _named_pair(
     note = Message("second_law_too", text)
     entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
     return _named(entries, k, left)
-
-
-def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
-    """Notes on clipped channels, for a verdict on a law with more evidence than clipping can make."""
-    return tuple(note for e in entries if found_by(e.effect) == "samples" for note in e.notes)
 
 
 def _rivals(entries: list[Entry]) -> list[int]:
@@ -298,10 +288,9 @@ def _is_claimed(entries: Sequence[Entry]) -> bool:
     return bool(entries) and entries[0].p_value <= THRESHOLDS.max_p_value
 
 
-def _is_negligible(point: WorkingPoint, best: Entry) -> bool:
-    """Whether a force law explains less than the errors of a simulation, a filter or a clipped sensor."""
-    least = max((missing_force.negligible_share(point, i) for i in best.places), default=0.0)
-    return best.explained_percent < 100 * least
+def _is_negligible(best: Entry) -> bool:
+    """Whether a force law explains less than the errors of a simulation or a filter."""
+    return bool(best.places) and best.explained_percent < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE
 
 
 def _is_little(before: MissingForce) -> bool:
@@ -335,8 +324,6 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
         ):  # beside one it is the path that is bent
             said.append(SPECTRUM_UNEXPLAINED)
         return BearingJudgement("unknown", entries, missing_force_curve(point, before), messages=tuple(said))
-    if not before.looked_anywhere():
-        return BearingJudgement("unknown", entries, messages=(*shaft, missing_force.UNJUDGED_MESSAGE))
     forces = [_measured_force_message(point)] if point.data.measured_force else []
     return BearingJudgement("complete", entries, messages=(*shaft, *forces))
 

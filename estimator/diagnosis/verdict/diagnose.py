@@ -11,10 +11,12 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.record import RecordSurvey, record_messages, survey_record, usable_record
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, Message, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
+from .clipped import with_clipped_channels
 
 
 class Survey(Protocol):
@@ -112,27 +114,31 @@ def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | Non
     >>> diagnose(rig, simulate(true, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).verdict
     'cubic'
     """
-    bearing = bearing_layer(model, y, rate_hz, progress or quiet)
+    record = survey_record(model, y, rate_hz)
+    bearing = bearing_layer(model, y, rate_hz, record, progress or quiet)
     why = () if bearing.judged else (Message(NOT_JUDGED, f"the bearings cannot be judged here: {bearing.reason}"),)
     return Diagnosis(
         verdict=bearing.verdict,
         ranking=bearing.ranking,
         shape=bearing.shape,
         separates=bearing.separates,
-        messages=(*why, *bearing.messages),
+        messages=(*why, *record_messages(record), *bearing.messages),
+        record=record,
         bearing=bearing,
     )
 
 
-def bearing_layer(model: Model, y: Array, rate_hz: float, say: Progress) -> BearingJudgement:
+def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, say: Progress) -> BearingJudgement:
     """The judgement of the bearings; it says why where the record does not carry one.
 
-    y : (n, channels), SI. say : progress.
+    y : (n, channels), SI. record : findings on the channels. say : progress.
     """
     say(0.0, "fit of the model as it is")
     try:
-        whole = fit_all_effects(model, y, rate_hz)
-        found = judge_bearing(whole.model, whole.point, y, say)
+        usable = usable_record(model, y, record)
+        whole = fit_all_effects(usable.model, usable.y, rate_hz)
+        found = judge_bearing(whole.model, whole.point, usable.y, say)
+        found = replace(found, messages=(*found.messages, *whole.messages))
     except DataError as problem:
-        return BearingJudgement.not_judged(str(problem))
-    return replace(found, messages=(*found.messages, *whole.messages))
+        found = BearingJudgement.not_judged(str(problem))
+    return with_clipped_channels(found, model, y, record)

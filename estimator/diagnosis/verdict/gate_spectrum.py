@@ -44,15 +44,6 @@ def spectrum_gate(model: Model, point: WorkingPoint, y: Array, before: MissingFo
     return GateResult(best, float(np.sqrt(share)), share <= THRESHOLDS.spectrum_misfit_max_rel**2)
 
 
-def with_restored_samples(model: Model, point: WorkingPoint, y: Array, before: MissingForce, entry: Entry) -> Entry:
-    """The entry of clipped channels with the missing force once the clipped samples are restored."""
-    if (fitted := _fit_of_part(model, y, point.data.rate_hz, entry)) is None:
-        return entry
-    whole, _ = fitted
-    after = missing_force.survey(whole.point, whole.model, only=before.places_found())
-    return replace(entry, after_percent=after.percent(whole.point))
-
-
 def _fit_of_part(model: Model, y: Array, rate_hz: float, entry: Entry) -> tuple[FullFit, Array] | None:
     """The model with a candidate fitted to the first part of the record, and that part.
 

@@ -10,10 +10,12 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
 from estimator.diagnosis.hypotheses.ranking import Entry, Settings
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import CATALOGUE
+from estimator.effects import CATALOGUE, found_by
 from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
+from estimator.identification.finding import effect_use
+from estimator.identification.record import survey_record, usable_record
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_S, survey_with
 from estimator.identification.search import search
 from estimator.identification.structure import recorder_fall, recorder_phase
@@ -25,6 +27,7 @@ from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
+from .clipped import with_clipped_channels
 
 Progress = Callable[[float, str], None]
 MAX_EFFECTS_ADDED = 5  # by one run
@@ -119,7 +122,27 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     >>> improvement.last.verdict, len(improvement.rungs)
     ('complete', 1)
     """
-    return improvement(model, y, rate_hz, progress or quiet)
+    record = survey_record(model, y, rate_hz)
+    usable = usable_record(model, y, record)
+    found = improvement(usable.model, usable.y, rate_hz, progress or quiet)
+    known = [use for use in model.effects if found_by(use.name) == "samples"]
+    rungs = [replace(r, effects=(*r.effects, *(use.name for use in known))) for r in found.rungs]
+    named = with_clipped_channels(found.last, model, y, record)
+    diagnoses, parameters = list(found.diagnoses), found.parameters | dict(usable.parameters)
+    if named.verdict != found.last.verdict:  # nothing else is to be added: its channel is left out already
+        clipped = named.ranking[0]
+        rungs.append(replace(rungs[-1], effects=(*rungs[-1].effects, named.verdict)))
+        known += [effect_use(name, settings) for name, settings in clipped.settings.items()]
+        diagnoses[-1:] = [named, found.last]
+        parameters |= clipped.parameters
+    return replace(
+        found,
+        rungs=tuple(rungs),
+        model=replace(found.model, effects=(*found.model.effects, *known)),
+        parameters=parameters,
+        messages=(*usable.messages, *found.messages),
+        diagnoses=tuple(diagnoses),
+    )
 
 
 def improvement(

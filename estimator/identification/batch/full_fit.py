@@ -17,8 +17,6 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.identification.machine import harmonic_fit, stiffness_order
-from estimator.identification.record import clipping
-from estimator.identification.record.declip import LOST_MESSAGE, RESTORED_MESSAGE, SPOILED_MESSAGE, restore_clipped
 from estimator.identification.search import search
 from estimator.identification.structure import (
     coupled_caps,
@@ -31,8 +29,6 @@ from estimator.identification.structure import (
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
-from estimator.likelihood.motion.located_law import clipped_places
-from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import prepare, shortening_messages
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -85,10 +81,7 @@ class FullFit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = (
-            with_unidentifiable_at(self.point.data.lost, SPOILED_MESSAGE, fitted_parameters(self.point))
-            | self.disturbances
-        )
+        found = fitted_parameters(self.point) | self.disturbances
         roll_off_sd = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
         found = recorder.doubted(roll_off_sd or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
@@ -183,12 +176,12 @@ def _coarse_fit(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
 
 def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
     """Place -> m (kg), c (N s/m), k (N/m) of the mean response with the disc held, and the band (Hz); for places that
-    are judged and have no measured force."""
+    have no measured force."""
     data = point.data
     k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(
         (0.0, 0.0) if data.disc is None else data.disc.held, (2, 1)
     )
-    own = () if data.measured_force else data.judged
+    own = () if data.measured_force else range(len(data.places))
     return {data.places[i]: (float(data.mass[i]), float(c[i]), float(k[i]), data.band) for i in own}
 
 
@@ -223,23 +216,16 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
     if not uses:
         data = replace(start.data) if start and not model.roll_off else prepare(model, y, rate_hz)  # evaluated anew
         return FullFit(model, fit_record(model, data, start), disturbances={})
-    limited, (y, off) = y, restore_clipped(model, y, clipped_places(model))
-
-    def prepared(model: Model) -> MotionRecord:
-        data = prepare(model, y, rate_hz)
-        return replace(data, drawn=data.passed_on(off)) if off else data
-
     undone_uses = [u for u in uses if is_undone_as_given(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone_uses))
-    point = fit_record(bare, prepared(bare))
+    point = fit_record(bare, prepare(bare, y, rate_hz))
     resolved_names = {u.name for u in uses if u not in undone_uses or not is_identifiable_by_force(u, model)}
-    findings = search(bare, point, y, everywhere=True)
-    findings += clipping.find_clipping(bare, limited) if limited is not y else []
+    findings = search(bare, point, y)
     further = further_lines_found(model, findings)
     model, found = with_resolved_parameters(
         with_further_effects(model, further), resolved_names | further.keys(), findings, point
     )
-    point = fit_record(model, prepared(model))
+    point = fit_record(model, prepare(model, y, rate_hz))
     shape_names = {u.name for u in uses if u.name in FORCE_SHAPES}
     for _ in range(MIN_RESOLVING_ROUNDS if shape_names else 0):  # shapes and laws distort each other
         shape = excitation_shapes(bare, point.data.places, point.data.f_hz, FORCE_SHAPES)
@@ -250,7 +236,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
         if not parameters_have_moved(found, found_again):
             break
         model, found = renewed, found | found_again
-        point = fit_record(model, prepared(model))
+        point = fit_record(model, prepare(model, y, rate_hz))
     for done in range(
         MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses) else 0
     ):
@@ -262,19 +248,10 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
         last = done + 1 >= MIN_RESOLVING_ROUNDS and not parameters_have_moved(found, of_caps)
         found |= refined_now
         if refined_now:
-            point = fit_record(model, prepared(model))
+            point = fit_record(model, prepare(model, y, rate_hz))
         if last:
             break
-    clipping_messages = [
-        Message("clipped_restored", f"{place}: {RESTORED_MESSAGE}", place)
-        if error < np.inf else Message("clipped_lost", f"{place}: {LOST_MESSAGE}", place)
-        for place, error in sorted(off.items())
-    ]  # fmt: skip
-    clipping_messages += [
-        Message("clipped_neighbour", f"{place}: no value is reliable: {SPOILED_MESSAGE}", place)
-        for place in sorted(point.data.lost.difference(off))
-    ]
-    messages = (*_several_lines_message(model, further), *clipping_messages)
+    messages = _several_lines_message(model, further)
     return FullFit(model, point, found | _coloured_levels(model, found, point), messages)
 
 

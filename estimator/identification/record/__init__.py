@@ -1,7 +1,20 @@
 """Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
-from .clipping import clipping_level, clipping_text
+from .clipping import clipping_level, clipping_text, pileup_p_value
 from .findings import ChannelSummary, RecordFinding, RecordSurvey
 from .survey import survey_record
+from .usable import UsableRecord, level_parameter, record_messages, usable_record
 
-__all__ = ["ChannelSummary", "RecordFinding", "RecordSurvey", "clipping_level", "clipping_text", "survey_record"]
+__all__ = [
+    "ChannelSummary",
+    "RecordFinding",
+    "RecordSurvey",
+    "UsableRecord",
+    "clipping_level",
+    "clipping_text",
+    "level_parameter",
+    "pileup_p_value",
+    "record_messages",
+    "survey_record",
+    "usable_record",
+]

@@ -64,9 +64,13 @@ class ChannelRecord:
         return MOTION.get(self.channel.kind) or {"force": "N"}.get(self.channel.kind, "")
 
     def finding(
-        self, code: str, text: str, rows: tuple[tuple[int, int], ...] = (), usable: bool = True
+        self, code: str, text: str, rows: tuple[tuple[int, int], ...] = (), usable: bool = True, judged: bool = True
     ) -> RecordFinding:
-        """A finding on this channel. text : what follows its name."""
+        """A finding on this channel.
+
+        text : what follows its name. usable : whether later layers may use the channel. judged : whether a bearing may
+        be judged from it; from an unusable one it may not.
+        """
         name = self.channel.name
         return RecordFinding(
             code=code,
@@ -74,6 +78,7 @@ class ChannelRecord:
             text=f"{name} {text}",
             rows=rows,
             places=(self.channel.place,),
+            condemned=() if usable and judged else (name,),
             unusable=() if usable else (name,),
         )
 
@@ -205,13 +210,15 @@ def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
     if record.channel.kind not in MOTION or (found := clipping_level(record.y)) is None:
         return
     level, count = found
-    share = count / record.z.size
+    share, limits = count / record.z.size, record.limits
     text = f"is clipped at +-{level:.3g} {record.unit} in {_per_cent(share)} of its samples"
-    if share <= record.limits.max_clipped_share:
+    if share <= limits.max_clipped_share_bearing:
         yield record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
         return
     advice = _range_to_take(record, level, share)
-    yield record.finding("clipped", f"{text}: no value is reliable; {advice}", usable=False)
+    yield record.finding(
+        "clipped", f"{text}: no value is reliable; {advice}", usable=share <= limits.max_clipped_share, judged=False
+    )
 
 
 def _range_to_take(record: ChannelRecord, level: float, share: float) -> str:

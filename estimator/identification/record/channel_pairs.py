@@ -109,6 +109,7 @@ def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable:
         channels=(a.channel.name, b.channel.name),
         text=text,
         places=(a.channel.place, b.channel.place),
+        condemned=unusable,
         unusable=unusable,
     )
 

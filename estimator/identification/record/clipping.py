@@ -6,10 +6,6 @@ import numpy as np
 from scipy.special import betainc
 
 from estimator.arrays import Array
-from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
-from estimator.identification.finding import Finding
-from estimator.model.rig import Model
-from estimator.results import Message, Parameter
 
 EXTREME_RANGE_REL = 0.3  # of the range of a channel from its extreme: so close to it are few samples of a vibration
 MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as have the next value
@@ -95,37 +91,3 @@ def pileup_p_value(count: int) -> float:
     likely.
     """
     return float(betainc(count, max(count - MIN_PILE_SAMPLES, 0) / 3 + 1, 0.5))
-
-
-def find_clipping(model: Model, y: Array) -> list[Finding]:
-    """Clipped channels of motion that the model does not call clipped. y : (n, channels)."""
-    out = []
-    have = {p for u in model.effects if u.name == SENSOR_CLIPPING.name for p in u.parameters}
-    for k, channel in enumerate(model.channels):
-        if channel.place in have or channel.place not in model.places or channel.kind == "force":
-            continue
-        found = clipping_level(y[:, k])
-        if found is None:
-            continue
-        level, count = found
-        place = model.places.index(channel.place)
-        out.append(
-            Finding(
-                effect=SENSOR_CLIPPING.name,
-                at=(channel.place,),
-                gain_nats=float(count),
-                dof=1,
-                p_value=pileup_p_value(count),
-                power_N2={place: 0.0},
-                against="level",
-                region=clipping_text(channel.name, level, count, len(y)),
-                settings={channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
-                note="clipping may cause every other finding on this channel: use a larger sensor range first",
-            )
-        )
-    return out
-
-
-def clipped_message(clipped: Finding) -> Message:
-    """The message on a clipped channel."""
-    return Message("clipped", f"{clipped.region}: {clipped.note}", clipped.at[0])

@@ -53,6 +53,8 @@ class RecordFinding:
         First row and the row behind the last one of each stretch concerned; empty where it is the whole record.
     places : tuple of str
         Places of the channels, such as ``"bearing1.x"``.
+    condemned : tuple of str
+        Those of the channels from which no bearing is judged.
     unusable : tuple of str
         Those of the channels that no later layer may use.
     """
@@ -62,6 +64,7 @@ class RecordFinding:
     text: str
     rows: tuple[tuple[int, int], ...] = ()
     places: tuple[str, ...] = ()
+    condemned: tuple[str, ...] = ()
     unusable: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -86,6 +89,11 @@ class RecordSurvey:
     channels: Mapping[str, ChannelSummary] = field(default_factory=dict)
     findings: tuple[RecordFinding, ...] = ()
     unusable: frozenset[str] = frozenset()
+
+    @property
+    def unjudged(self) -> frozenset[str]:
+        """Names of the channels from which no bearing is judged: the unusable ones, and those that clip."""
+        return self.unusable.union(name for finding in self.findings for name in finding.condemned)
 
     def to_json(self) -> dict[str, Any]:
         """The part `record` of the result of `diagnose`."""

@@ -31,14 +31,16 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     Returns
     -------
     RecordSurvey
-        Summaries, findings, and the channels that no later layer may use. Nothing is raised.
+        Summaries, findings, and the channels that no later layer may use. Nothing is raised; an array that is no record
+        of this rig has no summary.
 
     References
     ----------
     Bendat and Piersol, Random Data, 4th ed., Wiley 2010, ch. 10 (data qualification); ISO 20816-1.
     """
-    y = np.atleast_2d(np.asarray(y, np.float64))
-    y = y if y.shape[0] or y.shape[1] == len(model.channels) else np.zeros((0, len(model.channels)))
+    y = np.asarray(y, np.float64)
+    if y.ndim != 2 or y.shape[1] != len(model.channels) or not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        return RecordSurvey()  # no record of this rig: said by what uses it
     largest = RECORD_THRESHOLDS.max_value_si
     records, found = [], []
     for k, channel in enumerate(model.channels):

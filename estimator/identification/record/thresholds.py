@@ -13,10 +13,13 @@ class Thresholds:
     ----------
     max_value_si : float
         Largest value of a sample, SI; beyond it is a number read wrongly, and its powers overflow.
+    max_clipped_share_bearing : float
+        Share of samples at the rails beyond which no bearing is judged from a channel. The error is white, and the
+        excitation is read where the motion is small: 2e-4 of the samples make S 10 % too large, 3e-3 move kL by ten
+        standard deviations.
     max_clipped_share : float
-        Share of samples at the rails beyond which a channel is unusable. Of Gaussian vibration cut at this share the
-        error has 3e-4 of the power (cut at 3.1 standard deviations); beyond it stiffness is biased by many standard
-        deviations.
+        Share of samples at the rails beyond which a channel is unusable for tones and modes too. Of Gaussian vibration
+        cut at this share the error has 0.4 % of the power.
     max_frozen_share : float
         Share of samples in frozen stretches beyond which a channel is unusable; it changes the rms by half of this.
     min_frozen_periods : float
@@ -75,7 +78,8 @@ class Thresholds:
     """
 
     max_value_si: float = 1e15
-    max_clipped_share: float = 0.002
+    max_clipped_share_bearing: float = 2e-4
+    max_clipped_share: float = 0.02
     max_frozen_share: float = 0.01
     min_frozen_periods: float = 5.0
     min_frozen_samples: int = 20

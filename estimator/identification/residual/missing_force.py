@@ -26,7 +26,6 @@ from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.results import NOT_JUDGED, Message
 
 from . import black_box
 from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_ridge, group_p_value, hidden_power
@@ -34,10 +33,6 @@ from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_r
 MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the groups and locations tried
 SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
-UNJUDGED_MESSAGE = Message(
-    NOT_JUDGED, "the model cannot be judged: the sensors of all channels clip, use larger ranges"
-)
-LAW_LIKE_ERROR_SHARE = 0.6  # of the error of restored motion, that may look like a law (0.18 to 0.49 at 1 to 3 %)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,8 +119,8 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
     tries += len(point.data.places) * len(knots)  # the polynomials
     level = plain.likelihood(fitted, np.arange(point.data.fold_blocks.size))
     found: list[FoundGroup] = []
-    least = (negligible_share(point, i) * point.bearing_force[i]) ** 2
-    upper = least if point.data.unsure(i) else 0.0
+    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
+    upper = 0.0
     while len(found) < len(names):
         chosen = [group.group for group in found]
         tried = [_try_group(point, i, problem, chosen, n, names, knots, level) for n in names if n not in chosen]
@@ -181,11 +176,6 @@ def _try_group(
     )
 
 
-def negligible_share(point: WorkingPoint, i: int) -> float:
-    """Share of the rms bearing force at location i below which a missing force is not claimed."""
-    return max(NEGLIGIBLE_FORCE_SHARE, LAW_LIKE_ERROR_SHARE * point.data.unsure(i))
-
-
 @dataclass(frozen=True, slots=True)
 class MissingForce:
     """The force that a model lacks: its predictable part at every location, and what no state explains.
@@ -193,9 +183,9 @@ class MissingForce:
     Attributes
     ----------
     residuals : tuple of PlaceResidual
-        One per judged location.
+        One per location.
     bearing_force_N : (places,) float64
-        Rms of the bearing force, N; 0 where nothing is judged.
+        Rms of the bearing force, N.
     disturbances : tuple of DisturbanceForce
         Forces of findings that no state explains.
     """
@@ -214,10 +204,6 @@ class MissingForce:
 
         return replace(self, disturbances=tuple(disturbance_forces([f for f in others if counts(f)])))
 
-    def looked_anywhere(self) -> bool:
-        """Whether any location was judged. Locations of clipped sensors are not."""
-        return bool(self.residuals)
-
     def any_found(self) -> bool:
         """Whether any force is missing."""
         return bool(self.disturbances) or any(r.found for r in self.residuals)
@@ -233,10 +219,8 @@ class MissingForce:
     def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
         """Rms of the missing force and its 95 % limits, per cent of the rms bearing force.
 
-        Where nothing is found, the upper limit is the force that could hide there; it is 100 where nothing was judged.
+        Where nothing is found, the upper limit is the force that could hide there.
         """
-        if not self.looked_anywhere() and not self.disturbances:
-            return 0.0, 0.0, 100.0
         at = range(self.bearing_force_N.size) if places is None else places
         own = [r for r in self.residuals if r.place in at]
         scale = float(np.sum(self.bearing_force_N[list(at)] ** 2))
@@ -245,11 +229,6 @@ class MissingForce:
         hidden = sum(r.hidden_N2 for r in own if not r.found)
         low = P - 1.96 * sd if P > 0 else 0.0
         return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
-
-
-def unjudged_messages(found: MissingForce) -> tuple[Message, ...]:
-    """The message on a record of which no location is judged; empty otherwise."""
-    return () if found.looked_anywhere() else (UNJUDGED_MESSAGE,)
 
 
 def stiffness_orders(model: Model) -> tuple[float, ...]:
@@ -284,7 +263,7 @@ def survey(
     """
     point = point_on_part(point, seconds)
     found = map_processes(_group_selections(point, model, only))
-    return MissingForce(tuple(found), _judged_bearing_force(point)).with_findings(others)
+    return MissingForce(tuple(found), point.bearing_force).with_findings(others)
 
 
 def survey_with(
@@ -296,19 +275,14 @@ def survey_with(
     """
     asked: list[Callable[[], Any]] = [others, *more, *_group_selections(point, model)]  # longest first
     findings, *found = map_processes(asked)
-    own = MissingForce(tuple(found[len(more) :]), _judged_bearing_force(point))
+    own = MissingForce(tuple(found[len(more) :]), point.bearing_force)
     return own.with_findings(findings), findings, *found[: len(more)]
-
-
-def _judged_bearing_force(point: WorkingPoint) -> Array:
-    """(places,) rms of the bearing force at judged locations, N; 0 at the others."""
-    return np.where(np.isin(np.arange(len(point.data.places)), point.data.judged), point.bearing_force, 0.0)
 
 
 def _group_selections(
     point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None
 ) -> list[Callable[[], PlaceResidual]]:
-    """The selection of groups at every judged location, as calls in any order."""
-    places = [i for i in point.data.judged if only is None or i in only]
+    """The selection of groups at every location, as calls in any order."""
+    places = [i for i in range(len(point.data.places)) if only is None or i in only]
     tries = len(point.data.places) * len(black_box.GROUP_NAMES)
     return [partial(select_groups, point, i, stiffness_orders(model), tries) for i in places]

@@ -198,8 +198,8 @@ def _pairs(model: Model, point: WorkingPoint) -> list[tuple[int, int]]:
     data = point.data
     if not data.shaft.any() or data.measured_force or point.kL.min() <= 0.0:
         return []
-    opposite = [(i, data.opposite(i)) for i in data.judged]
-    return [(i, j) for i, j in opposite if j is not None and i < j and j in data.judged]
+    opposite = [(i, data.opposite(i)) for i in range(len(data.places))]
+    return [(i, j) for i, j in opposite if j is not None and i < j]
 
 
 def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:

@@ -79,7 +79,7 @@ def level_doubt(model: Model, point: WorkingPoint) -> float:
 
 def _judged_places(point: WorkingPoint) -> list[int]:
     """Indices of locations from which a filter is identified."""
-    whole = [*point.data.judged]
+    whole = [*range(len(point.data.places))]
     return [] if point.data.measured_force or not whole or point.kL[whole].min() <= 0.0 else whole
 
 

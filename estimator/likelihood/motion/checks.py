@@ -1,4 +1,4 @@
-"""Checks of a record before anything is estimated from it: shape, rate, dead, clipped and implausible channels."""
+"""Checks of a record before anything is estimated from it: shape, rate, dead and implausible channels."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from estimator.errors import DataError
 from estimator.model.rig import Model
-
-from .located_law import clipped_places
 
 MIN_PEAK_SI, MAX_PEAK_SI = 1e-15, 1e15  # a peak outside is a wrong unit, and its powers overflow
 
@@ -27,11 +25,8 @@ def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
     return low, high
 
 
-MAX_SHARE_AT_EXTREME = 0.002  # of the samples at the extreme value; more is clipping
-
-
-def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
-    """The record as (n, channels) float64. Raises DataError naming the channel and the remedy."""
+def check_shape(model: Model, y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The record as (n, channels) float64. Raises DataError if it is none of this model."""
     try:
         y = np.asarray(y, dtype=np.float64)
     except ValueError as e:
@@ -42,22 +37,17 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         )
     if not model.places:
         raise DataError("the model has no motion channel on a bearing: nothing can be estimated")
+    return y
+
+
+def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """The record as (n, channels) float64. Raises DataError naming the channel and the remedy."""
+    y = check_shape(model, y)
     if not np.isfinite(rate_hz) or rate_hz <= 0:
         raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
     for i, channel in enumerate(model.channels):
-        if channel.kind == "tacho":
-            continue
-        z = y[:, i]
-        z = z[np.isfinite(z)]
-        low, high = check_moves(channel.name, z)
-        if channel.place in clipped_places(model):
-            continue  # the model says so: the fit does, beside its numbers
-        at_end = max(np.mean(z == low), np.mean(z == high))
-        if at_end > MAX_SHARE_AT_EXTREME and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:
-            raise DataError(
-                f"channel {channel.name} is clipped: {100 * at_end:.1f} % of its samples are at {high:g} or {low:g}; "
-                "use a larger range, lower the excitation, or add sensor_clipping to the model"
-            )
+        if channel.kind != "tacho":
+            check_moves(channel.name, y[np.isfinite(y[:, i]), i])
     for place in model.places:
         for key, sign in (("kL", "positive"), ("c", "positive")):
             setting = model.linear.get(place, {}).get(key)

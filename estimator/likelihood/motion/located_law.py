@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
-from estimator.effects import CATALOGUE, found_by
+from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import Size
 from estimator.effects.places import at, kinematic, written
@@ -109,12 +109,6 @@ def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
 def trial_effects(model: Model) -> list[Effect]:
     """Effects that a diagnosis tries: the catalogue, and laws of the user that the model does not have yet."""
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
-
-
-def clipped_places(model: Model) -> frozenset[str]:
-    """Places whose channel the model calls clipped."""
-    named = {p for u in model.effects if found_by(u.name) == "samples" for p in u.parameters}
-    return frozenset(p for p in model.places if p in named or p.split(".")[0] in named)
 
 
 ROWS_PER_PIECE = 1 << 15  # rows evaluated at a time: they stay in the cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,6 @@ from .law_smoothing import HALF_SUPPORT_ROWS, MIN_SMOOTHING_SD, interpolated
 
 TIME_FOLDS = 6  # of every record, for held-out errors and standard deviations
 _OTHER_DIRECTION = {"x": "y", "y": "x"}
-MAX_MOTION_ERROR_REL = 0.1  # of the motion of a cap; with a larger error the cap is not judged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +61,6 @@ class MotionRecord:
     level : (places, blocks) power of the excitation over its mean; None if it is constant.
     disc : the disc on its shaft; None without one.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
-    drawn : (places,) rms error of reconstructed clipped motion over the rms of the motion; None if nothing is clipped.
     """
 
     places: tuple[str, ...]
@@ -100,7 +98,6 @@ class MotionRecord:
     level: Array | None = None
     disc: Disc | None = None
     below_band_force: Series | None = None
-    drawn: Array | None = None
 
     @property
     def measured_force(self) -> bool:
@@ -111,35 +108,6 @@ class MotionRecord:
     def folded(self) -> Array:
         """(places, bins) PSD of acceleration that sampling folds back, over S."""
         return np.asarray(self.echoes.sum(axis=0))
-
-    def unsure(self, i: int) -> float:
-        """Relative rms error of the motion at a place where clipped samples were reconstructed; inf: not usable."""
-        return 0.0 if self.drawn is None else float(self.drawn[i])
-
-    def passed_on(self, off: Mapping[str, float]) -> Array:
-        """(places,) relative error of the motion, from the errors at some places (inf: unknown).
-
-        The shaft passes an error on to the opposite cap, in the ratio of the shaft's force there to the bearing's.
-        """
-        out = np.array([off.get(place, 0.0) for place in self.places])
-        for i, own in enumerate(out.copy()):
-            if own and (o := self.opposite(i)) is not None:
-                near = int(np.argmin(np.abs(2 * np.pi * self.f_hz - self.rms[1, i] / self.rms[0, i])))
-                shaft = float(np.abs(self.shaft[near, o, i]))
-                bearing = self.mass[o] * self.rms[1, o] ** 2 / self.rms[0, o]  # m w^2 x, as k x at its resonance
-                brought = min(own, 1.0) * shaft * self.rms[0, i] / bearing
-                out[o] = max(out[o], brought if brought < MAX_MOTION_ERROR_REL else np.inf)
-        return out
-
-    @property
-    def judged(self) -> tuple[int, ...]:
-        """Indices of the places that can be judged."""
-        return tuple(i for i in range(len(self.places)) if self.unsure(i) < np.inf)
-
-    @property
-    def lost(self) -> frozenset[str]:
-        """The places that cannot be judged."""
-        return frozenset(self.places).difference(self.places[i] for i in self.judged)
 
     @property
     def blocks(self) -> int:

@@ -50,7 +50,7 @@ def test_a_fit_says_that_a_channel_of_a_file_is_at_its_full_scale(tmp_path: Path
     top = float(np.quantile(np.abs(y[:, 2]), 0.9995))
     y[:, 2] = np.clip(y[:, 2], -top, top)
     messages = fitted(rig, Measurement(y, 25600.0, {}), "spectral").messages
-    assert any(m.text.startswith(f"b2x is limited to +-{top:.3g}") for m in messages)
+    assert any(m.text.startswith(f"b2x is clipped at +-{top:.3g}") for m in messages)
 
 
 def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

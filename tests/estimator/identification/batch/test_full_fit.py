@@ -16,7 +16,6 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.search import search
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -139,27 +138,6 @@ def test_what_cannot_be_told_apart_is_used_and_not_shown(rig: Model) -> None:
     assert found.adequate
     assert quality["identifiable"] or quality["value"] is None
     assert not compare(rig, y, RATE).adequate
-
-
-@pytest.mark.slow
-def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(rig: Model) -> None:
-    """Without its number the line of the other channel bent its stiffness and damping."""
-    y = record(rig, "line", 0.06)
-    level = 2.8 * y[:, 0].std()
-    y[:, 0] = np.clip(y[:, 0], -level, level)
-    line = EffectUse("line", {"bearing1.x": {}, "bearing1.y": {}})
-    with pytest.raises(DataError, match="clipped"):
-        spectral.fit_spectral(replace(rig, effects=(*rig.effects, line)), y, RATE)
-    clipped = EffectUse("sensor_clipping", {"bearing1.x": {}})
-    fit = spectral.fit_spectral(replace(rig, effects=(*rig.effects, line, clipped)), y, RATE)
-    assert any("clipped" in m.text for m in fit.messages)
-    for name, truth in (("kL", 9.2e6), ("c", 55.0)):
-        p = fit.parameters[f"bearing1.y.{name}"]
-        assert abs((p.value or 0.0) - truth) < 4 * (p.sd or 0.0), (name, p)
-    assert fit.parameters["bearing1.x.line.frequency"].identifiable
-    whole = fit_all_effects(rig, y, RATE)
-    seen = search(rig, whole.point, y)
-    assert [(s.effect, s.at) for s in seen][:2] == [("sensor_clipping", ("bearing1.x",)), ("line", ("bearing1.y",))]
 
 
 def test_of_a_long_record_six_stretches_are_judged_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -369,18 +369,6 @@ def test_of_a_common_force_what_is_folded_back_is_common_too() -> None:
 
 
 @pytest.mark.slow
-def test_a_clipped_channel_does_not_hide_what_is_folded_back() -> None:
-    """1.1 % of the bearing force was missing, and coloured_excitation took it over."""
-    rig = replace(coupled_on_a_stiff_shaft(), effects=(), band=(120.0, TOP))
-    y = simulate(rig, 8 * RATE, 20.0, seed=9).reshape(-1, 8, 4).mean(axis=1)
-    y[:, 0] = np.clip(y[:, 0], -0.5 * y[:, 0].std(), 0.5 * y[:, 0].std())
-    clipped = EffectUse("sensor_clipping", {"bearing1.x": {}})
-    found = compare(replace(rig, effects=(clipped,)), y, RATE)
-    assert found.missing[0] == 0.0
-    assert any(m.code == "recorder_folds" for m in found.messages)
-
-
-@pytest.mark.slow
 def test_an_effect_behind_a_filter_is_named() -> None:
     rig = one_bearing()
     found = diagnose(rig, through(record(rig, "clearance", 0.06, seconds=30.0), "bessel"), RATE)
