@@ -136,7 +136,7 @@ def rest_of_line(name: str, one: tuple[float, ...], at: Size, rng: np.random.Gen
         for k in range(1, n):
             z[k] = z[k - 1] + dt * (v[k] - (beta * abs(v[k]) * z[k - 1] + (1 - beta) * v[k] * abs(z[k - 1])) / one[1])
     p = np.array([*one, *np.zeros(5 - len(one))])
-    f = np.array([push(LAWS.index(name), p, *q, at.turn, m) for *q, m in zip(x, v, xo, t, z, strict=True)])
+    f = np.array([push(LAWS.index(name), p, *q, m) for *q, m in zip(x, v, xo, t, at.turn * t, z, strict=True)])
     if name in WHOLE:
         return float(np.sqrt(np.mean(f**2)))
     X = np.stack([np.ones(n), x], axis=1)

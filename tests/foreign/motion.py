@@ -1,4 +1,4 @@
-"""A rotor's motion by other means than the product's: the linear rotor stepped exactly, laws as kicks amid the steps.
+"""A rotor's motion by other means than the product's: its modes stepped exactly, laws as kicks amid the steps.
 
 Nothing here is imported from the product: laws, units and signs are written from physics.md's text a second time.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import solve_continuous_lyapunov
 
 Array = NDArray[np.float64]
 CHUNK = 1 << 18  # steps of which forces are in memory
@@ -22,17 +22,22 @@ LAWS = (
     "smooth_friction", "smooth_clearance", "stribeck", "other_loop", "half_sine_strikes", "two_orders", "warming",
     "off_centre",
 )  # fmt: skip
-FULL_LOOP = LAWS.index("other_loop")
+WITH_MEMORY = (LAWS.index("bouc_wen"), LAWS.index("other_loop"))
+MAX_MODAL_ERROR = 1e-8  # of the flow put together again from its modes, relative: rounding
+Turning = Callable[[Array], Array]  # (n,) s -> (n,) rad of the shaft
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Law:
-    """One law: what it is, the degree of freedom it pushes, those beside it (the cap's other direction; of a disc its
-    two caps) and up to five numbers in SI."""
+    """One law between two points of the rotor, or a point and the ground.
+
+    name : of `LAWS`. along : (n,) weights of the degrees of freedom that make its displacement; the force acts back by
+    the same weights. across : (n,) weights of the displacement across it. numbers : up to five, SI.
+    """
 
     name: str
-    dof: int
-    beside: tuple[int, int]
+    along: Array
+    across: Array
     numbers: tuple[float, ...]
 
 
@@ -62,10 +67,21 @@ class Rotor:
         Q[n:, n:] = inverse @ np.diag(self.S / 2) @ inverse.T
         return np.asarray(solve_continuous_lyapunov(self.flow(), -Q))
 
+    def modes(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+        """Of each pair one: (n,) 1/s, (2n, n) shapes of displacement and velocity, (n, 2n) what a state is of it."""
+        F = self.flow()
+        values, shapes = np.linalg.eig(F)
+        inverse = np.linalg.inv(shapes)
+        error = np.abs((shapes * values) @ inverse - F) / np.abs(F).max()
+        upper = values.imag > 0
+        if error.max() > MAX_MODAL_ERROR or upper.sum() != len(self.M):
+            raise ValueError("the rotor has a mode that does not swing, or two that are one")
+        return values[upper], shapes[:, upper], inverse[upper]
+
 
 @njit(cache=False)
-def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Restoring force of one law, N; of a shaft x is disc less mean of the caps."""
+def push(kind, p, x, v, xo, t, angle, z):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Restoring force of one law, N; of a shaft x is disc less mean of the caps. angle : rad of the shaft."""
     if kind == 0:
         return p[0] * x**3
     if kind == 1:
@@ -97,13 +113,13 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
     if kind == 9:
         return p[0] * z
     if kind == 10:
-        return (p[0] * np.cos(p[2] * turn * t) + p[1] * np.sin(p[2] * turn * t)) * x
+        return (p[0] * np.cos(p[2] * angle) + p[1] * np.sin(p[2] * angle)) * x
     if kind == 11:
-        return -(p[0] + p[1] * np.cos(turn * t) + p[2] * np.sin(turn * t)) * x
+        return -(p[0] + p[1] * np.cos(angle) + p[2] * np.sin(angle)) * x
     if kind == 12:
         return (p[0] * t + 0.5 * p[1] * t * t) * x
     if kind == 13:
-        return -p[0] * np.exp(-((p[1] * turn * t - p[2]) % (2 * np.pi)) / p[3])
+        return -p[0] * np.exp(-((p[1] * angle - p[2]) % (2 * np.pi)) / p[3])
     if kind == 14:  # p: k, kt, clearance, 0 or 1 for x or y
         r = np.hypot(x, xo)
         if r <= p[2]:
@@ -125,14 +141,16 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
     if kind == 21:
         return p[0] * z
     if kind == 22:  # p[3] s long, each early or late by p[4] of a period
-        period = 2 * np.pi / (p[1] * turn)
+        if angle == 0.0:
+            return 0.0
+        period = 2 * np.pi * t / (p[1] * angle)
         n = np.floor(t / period)
         late = (np.sin(12.9898 * (n + p[2])) * 43758.5453) % 1.0 - 0.5
         since = t - n * period - (0.3 + p[4] * late) * period
         return -p[0] * np.sin(np.pi * since / p[3]) if 0.0 < since < p[3] else 0.0
     if kind == 23:
-        angle = p[2] * turn * t
-        return (p[0] * np.cos(angle) + p[1] * np.sin(angle) + 0.4 * p[0] * np.cos(2 * angle)) * x
+        passed = p[2] * angle
+        return (p[0] * np.cos(passed) + p[1] * np.sin(passed) + 0.4 * p[0] * np.cos(2 * passed)) * x
     if kind == 24:
         return p[0] * (1.0 - np.exp(-t / p[1])) * x
     return p[0] * ((x + p[1]) ** 3 - p[1] ** 3)
@@ -140,68 +158,110 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
 
 @njit(cache=False)
 def steps(
-    state, memory, half, drive, rate, inverse, forces, kinds, dofs, beside, numbers, t0, dt, turn, out_x, out_v, out_a
+    modes,
+    memory,
+    half,
+    drive,
+    forces,
+    kinds,
+    numbers,
+    at,
+    kicks,
+    t0,
+    dt,
+    angles,
+    seen,
+    seen_a,
+    through,
+    pulled,
+    out,
+    laws,
 ):  # type: ignore[no-untyped-def]  # noqa: E501  # pragma: no cover
-    """Advance in place; displacement, velocity and acceleration amid every step, where its force is what is held. half,
-    drive : of half a step. t0 : the middle of the first step."""
-    n = inverse.shape[0]
-    law, kick = np.zeros(n), np.zeros(n)
+    """Advance `modes` in place. Amid every step, where its force is what is held: displacement, velocity and
+    acceleration of what is seen in `out`, the forces of the laws in `laws`. t0 : the middle of the first step."""
     for k in range(forces.shape[0]):
-        law[:] = 0.0
-        t = t0 + k * dt
-        state[:] = half @ state + drive @ forces[k]
+        f, t = forces[k], t0 + k * dt
+        for i in range(modes.size):
+            q = modes[i] * half[i]
+            for j in range(f.size):
+                q += drive[i, j] * f[j]
+            modes[i] = q
         for i in range(kinds.size):
-            d, (o, far) = dofs[i], beside[i]
-            if kinds[i] == 11:
-                bend = state[d] - 0.5 * (state[o] + state[far])
-                f = push(11, numbers[i], bend, 0.0, 0.0, t, turn, 0.0)
-                law[d] += f
-                law[o] -= 0.5 * f
-                law[far] -= 0.5 * f
-                continue
-            x, v = state[d], state[n + d]
-            if kinds[i] == 9 or kinds[i] == FULL_LOOP:  # the latter unloads steeper than it loads, by a beta of its own
-                z, beta = memory[i], 0.5 if kinds[i] == 9 else numbers[i, 2]
-                memory[i] = z + dt * (v - (beta * abs(v) * z + (1 - beta) * v * abs(z)) / numbers[i, 1])
-            law[d] += push(kinds[i], numbers[i], x, v, state[o], t, turn, memory[i])
-        kick[:] = dt * (inverse @ law)
-        state[n:] -= 0.5 * kick
-        out_x[k], out_v[k] = state[:n], state[n:]
-        out_a[k] = rate @ state + inverse @ (forces[k] - law)
-        state[n:] -= 0.5 * kick
-        state[:] = half @ state + drive @ forces[k]
+            x = v = xo = 0.0
+            for j in range(modes.size):
+                x += (at[0, i, j] * modes[j]).real
+                v += (at[1, i, j] * modes[j]).real
+                xo += (at[2, i, j] * modes[j]).real
+            p = numbers[i]
+            if kinds[i] == WITH_MEMORY[0] or kinds[i] == WITH_MEMORY[1]:  # the second unloads steeper than it loads
+                z, beta = memory[i], 0.5 if kinds[i] == WITH_MEMORY[0] else p[2]
+                memory[i] = z + dt * (v - (beta * abs(v) * z + (1 - beta) * v * abs(z)) / p[1])
+            laws[k, i] = push(kinds[i], p, x, v, xo, t, angles[k], memory[i])
+        for i in range(kinds.size):
+            for j in range(modes.size):
+                modes[j] -= 0.5 * kicks[j, i] * laws[k, i]
+        for i in range(seen.shape[1]):
+            x = v = a = 0.0
+            for j in range(modes.size):
+                q = modes[j]
+                x += (seen[0, i, j] * q).real
+                v += (seen[1, i, j] * q).real
+                a += (seen_a[i, j] * q).real
+            for j in range(f.size):
+                a += through[i, j] * f[j]
+            for j in range(kinds.size):
+                a -= pulled[i, j] * laws[k, j]
+            out[0, k, i], out[1, k, i], out[2, k, i] = x, v, a
+        for i in range(modes.size):
+            q = modes[i]
+            for j in range(kinds.size):
+                q -= 0.5 * kicks[i, j] * laws[k, j]
+            q *= half[i]
+            for j in range(f.size):
+                q += drive[i, j] * f[j]
+            modes[i] = q
 
 
 def motion(
-    rotor: Rotor, force: Callable[[Array, Array], Array], rate_hz: float, seconds: float, rng: np.random.Generator
-) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Chunks of (forces, displacement, velocity, acceleration), each (steps, n), SI.
+    rotor: Rotor, force: Callable[[Array, Array], Array], rate_hz: float, seconds: float, rng: np.random.Generator,
+    turning: Turning | None = None, seen: Array | None = None, pushed: list[int] | None = None,
+) -> Iterator[tuple[Array, Array, Array, Array, Array]]:  # fmt: skip
+    """Chunks of (forces (steps, pushed), displacement, velocity, acceleration (steps, seen), laws (steps, laws)), SI.
 
-    force : of (steps,) s and (steps, n) N of even white noise makes the force that acts, held along a step. rate_hz :
-    of the steps.
+    force : of (steps,) s and (steps, pushed) N of even white noise makes the force that acts, held along a step.
+    rate_hz : of the steps. turning : of the shaft, even at `rotor.turn` if None. seen : (seen, n) weights of the
+    degrees of freedom, each by itself if None. pushed : degrees of freedom that a force acts on, all if None.
     """
-    n, dt, F = len(rotor.M), 1.0 / rate_hz, rotor.flow()
+    n, dt = len(rotor.M), 1.0 / rate_hz
+    seen = np.eye(n) if seen is None else seen
+    pushed = list(range(n)) if pushed is None else pushed
     inverse = np.linalg.inv(rotor.M)
-    push_in = np.vstack([np.zeros((n, n)), inverse])
-    whole = expm(np.block([[F, push_in], [np.zeros((n, 3 * n))]]) * 0.5 * dt)
-    half, drive = np.ascontiguousarray(whole[: 2 * n, : 2 * n]), np.ascontiguousarray(whole[: 2 * n, 2 * n :])
+    values, shapes, left = rotor.modes()
+    x_of, v_of, push_in = 2 * shapes[:n], 2 * shapes[n:], left[:, n:] @ inverse  # twice: of each pair one is stepped
+    half = np.exp(values * dt / 2)
+    drive = ((half - 1) / values)[:, None] * push_in[:, pushed]
+    along = np.array([one.along for one in rotor.laws]).reshape(-1, n)
+    across = np.array([one.across for one in rotor.laws]).reshape(-1, n)
     kinds = np.array([LAWS.index(one.name) for one in rotor.laws], dtype=np.int64)
-    dofs = np.array([one.dof for one in rotor.laws], dtype=np.int64)
-    beside = np.array([one.beside for one in rotor.laws], dtype=np.int64).reshape(-1, 2)
     numbers = np.zeros((len(kinds), 5))
     for row, one in zip(numbers, rotor.laws, strict=True):
         row[: len(one.numbers)] = one.numbers
+    at = np.stack([along @ x_of, along @ v_of, across @ x_of])
     P = rotor.covariance()
     w, U = np.linalg.eigh((P + P.T) / 2)
-    state = U @ (np.sqrt(np.maximum(w, 0.0)) * rng.standard_normal(2 * n))
+    modes = left @ (U @ (np.sqrt(np.maximum(w, 0.0)) * rng.standard_normal(2 * n)))
     memory = np.zeros(len(kinds))
     total = int(seconds * rate_hz)
     for first in range(0, total, CHUNK):
         size = min(CHUNK, total - first)
         t = (first + np.arange(size)) * dt
-        forces = rng.standard_normal((size, n)) * np.sqrt(rotor.S * rate_hz / 2)
+        forces = rng.standard_normal((size, len(pushed))) * np.sqrt(rotor.S[pushed] * rate_hz / 2)
         forces = force(t, forces)
-        out = np.empty((3, size, n))
-        steps(state, memory, half, drive, np.ascontiguousarray(F[n:]), inverse, forces, kinds, dofs, beside, numbers,
-              first * dt, dt, rotor.turn, *out)  # fmt: skip
-        yield forces, *out
+        angles = rotor.turn * t if turning is None else turning(t)
+        out, laws = np.empty((3, size, len(seen))), np.empty((size, len(kinds)))
+        steps(
+            modes, memory, half, drive, forces, kinds, numbers, at, dt * (push_in @ along.T), first * dt, dt, angles,
+            np.stack([seen @ x_of, seen @ v_of]), (seen @ v_of) * values, seen @ inverse[:, pushed],
+            seen @ inverse @ along.T, out, laws,
+        )  # fmt: skip
+        yield forces, *out, laws

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -163,7 +163,9 @@ class Bench:
         return float(2 * np.pi * self.rig["rpm"] / 60)
 
     def rotor(self) -> Rotor:
-        return Rotor(self.M, self.C, self.K, self.S, self.turn, self.laws)
+        more = (0, len(self.M) - len(DOFS))  # below pedestals no law acts
+        laws = [replace(a, along=np.pad(a.along, more), across=np.pad(a.across, more)) for a in self.laws]
+        return Rotor(self.M, self.C, self.K, self.S, self.turn, laws)
 
     def add(self, name: str, where: str, share: float) -> None:
         """An effect at bearing1 or both, of a share of the bearing force."""
@@ -201,10 +203,11 @@ class Bench:
             self.C[x, y] += own[0]
             self.C[y, x] -= own[0]
         elif name in ("hertz", "rub"):
-            self.laws += [Law(name, x, (y, 0), (*own, 0.0)), Law(name, y, (x, 0), (*own, 1.0))]
+            self.laws += [self._law(name, x, y, (*own, 0.0)), self._law(name, y, x, (*own, 1.0))]
         elif name == "crack":
-            ends = ((AT[f"bearing1.{d}"], AT[f"bearing2.{d}"]) for d in "xy")
-            self.laws += [Law(name, AT[f"disc.{d}"], caps, own) for d, caps in zip("xy", ends, strict=True)]
+            self.laws += [self._law(name, AT[f"disc.{d}"], AT[f"disc.{d}"], own) for d in "xy"]
+            for d, law in zip("xy", self.laws[-2:], strict=True):
+                law.along[[AT[f"bearing1.{d}"], AT[f"bearing2.{d}"]]] = -0.5
         elif of_disc:
             for d, force in (("x", complex(*own)), ("y", -1j * complex(*own))):
                 self.known.append((AT[f"disc.{d}"], self.turn, force))
@@ -223,7 +226,11 @@ class Bench:
         elif name == "misalignment":
             self.known.append((i, 2 * self.turn, complex(own[0], -own[1])))
         else:
-            self.laws.append(Law(name, i, (i + 3 if i < 3 else i - 3, 0), own))
+            self.laws.append(self._law(name, i, i + 3 if i < 3 else i - 3, own))
+
+    def _law(self, name: str, dof: int, across: int, own: tuple[float, ...]) -> Law:
+        """Between the ground and a degree of freedom."""
+        return Law(name=name, along=np.eye(len(DOFS))[dof], across=np.eye(len(DOFS))[across], numbers=own)
 
     def _add_pedestal(self, i: int, k: float, c: float, mass: float, hz: float, damping: float) -> None:
         """The bearing at i stands on a mass of its own instead of on the ground."""

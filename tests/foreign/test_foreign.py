@@ -13,7 +13,7 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.law_loop import force_array
 
-from .campaign import run
+from .clean import run
 from .hidden import FORMS, PARAMETERS
 from .motion import LAWS, Law, Rotor, motion, push
 from .record import Case, made, rig_file
@@ -37,7 +37,7 @@ def test_every_law_that_both_have_is_the_same() -> None:
         p = NUMBERS.get(name, (2.0,))
         assert len(p) == len(PARAMETERS[name].split())
         theirs = np.array([*p, *np.zeros(5 - len(p))])
-        made = [push(LAWS.index(name), theirs, *q, turn, 0.0) for (*q,) in zip(x, v, xo, t, strict=True)]
+        made = [push(LAWS.index(name), theirs, *q, 0.0) for (*q,) in zip(x, v, xo, t, turn * t, strict=True)]
         ours = force_array(CATALOGUE[name], np.array(p), x, v, xo, vo, t, turn * t)
         assert np.allclose(made, ours, rtol=1e-9, atol=1e-12), name
 
@@ -48,7 +48,7 @@ def test_the_linear_rotor_moves_as_theory_says() -> None:
     rotor = Rotor(M, C, K, np.array([1e-4, 2e-4, 0.0]), 0.0)
     rate = 102_400.0
     chunks = [z[1:] for z in motion(rotor, even, rate, 20.0, np.random.default_rng(1))]
-    x, v, a = (np.concatenate(z) for z in zip(*chunks, strict=True))
+    x, v, a = (np.concatenate(z) for z in zip(*(z[:3] for z in chunks), strict=True))
     P = rotor.covariance()
     # the disc has some hundred independent swings
     assert np.var(np.hstack([x, v]), axis=0) == pytest.approx(np.diag(P), rel=0.1)
@@ -65,7 +65,7 @@ def test_a_cubic_has_the_density_of_boltzmann() -> None:
     T = S / (4 * c)
     kNL = 0.3 * k * k / T
     one = (np.array([[q]]) for q in (m, c, k))
-    rotor = Rotor(*one, np.array([S]), 0.0, [Law("cubic", 0, (0, 0), (kNL,))])
+    rotor = Rotor(*one, np.array([S]), 0.0, [Law(name="cubic", along=np.ones(1), across=np.ones(1), numbers=(kNL,))])
     x = np.concatenate([z[1][:, 0] for z in motion(rotor, even, rate, 30.0, np.random.default_rng(2))])
     at = np.linspace(-6, 6, 4001) * np.sqrt(T / k)
     p = np.exp(-(k * at**2 / 2 + kNL * at**4 / 4) / T)
