@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from daq.base.contract.dates import SINCE_2001_NS, UNKNOWN_START, Recorded, utc_text
 from daq.base.contract.envelope import Envelope, Extremes
 from daq.base.contract.sink import Session, Status
 from drivers.contract import Block, Gap, Info, Notice, Reading
@@ -21,6 +24,7 @@ LOG_PROFILE = "rotorscope"  # of the MCAP header
 CHUNK_BYTES = 256 * 1024
 JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
 ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
+CHUNK_S = 1.0  # of data in a chunk at most: what one damaged byte costs
 MEDIA_TYPES = {".toml": "application/toml", ".dbc": "text/plain"}
 
 
@@ -33,11 +37,14 @@ class Output(Protocol):
 class LogEncoder:
     """Writes MCAP to `output`. Every chunk starts with session and info again, and can be read alone."""
 
-    def __init__(self, output: Output) -> None:
-        self._mcap = Writer(output, chunk_size=MAX_CHUNK_BYTES, compression=CompressionType.ZSTD)
+    def __init__(self, output: Output, recorded: Recorded | None = None) -> None:
+        self._mcap = Writer(output, chunk_size=MAX_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
         self._mcap.start(LOG_PROFILE)
         self._ids = [0, *(self._register(topic) for topic in codec.LOG_TOPICS)]
+        self._recorded = recorded
+        self._early: list[Gap | Info | Notice | Status | Estimate] = []  # of a recording, until its date is known
+        self._about: Session | None = None  # of a recording, until then
         self._wall_offset_ns = 0
         self._session = b""
         self._info: Info | None = None
@@ -47,11 +54,19 @@ class LogEncoder:
         self._axis_ns = 0  # Unix time of sample 0 on the device's nominal time axis
         self._last_ns = 0
         self._chunk_bytes = 0
+        self._chunk_index: int | None = None  # of the first sample in the chunk under way
         self.fresh = True  # nothing since the last flush
 
-    def start(self, session: Session, wall_offset_ns: int) -> None:
-        """wall_offset_ns : Unix time = host monotonic time + this."""
-        self._wall_offset_ns = wall_offset_ns
+    def start(self, session: Session, wall_offset_ns: int, now_ns: int = 0) -> None:
+        """wall_offset_ns : Unix time = host monotonic time + this. now_ns : host monotonic time."""
+        self._wall_offset_ns, self._last_ns = wall_offset_ns, wall_offset_ns + now_ns
+        if self._recorded is not None:
+            self._about = session
+            return
+        self._begin(session)
+
+    def _begin(self, session: Session) -> None:
+        wall_offset_ns = self._wall_offset_ns
         self._session = codec.encode_session(session.device, wall_offset_ns, session.metadata)
         self.metadata("session", dict(session.metadata) | {"device": session.device})
         for name, data in session.attachments.items():
@@ -59,14 +74,45 @@ class LogEncoder:
             self.attachment(name, media_type, data)
         self.reading(session.info)
 
+    def _date(self, block: Block | None) -> None:
+        """The first samples of a recording: from here on its date is known, or that there is none."""
+        about, self._about, early, self._early = self._about, None, self._early, []
+        info = next((e for e in early if isinstance(e, Info)), about.info if about else None)
+        first_ns = 0
+        if block is not None:
+            first_ns = block.t_host_ns - (round(1e9 * len(block.counts) / info.rate_hz) if info else 0)
+        offset_ns = self._recorded.wall_offset_ns if self._recorded else None
+        known = offset_ns is not None or first_ns >= SINCE_2001_NS
+        if offset_ns is None:
+            offset_ns = 0 if known else self._last_ns - first_ns
+        imported = utc_text(self._last_ns)
+        self._wall_offset_ns, self._last_ns = offset_ns, first_ns + offset_ns
+        if about is not None:
+            started = utc_text(self._last_ns) if known else UNKNOWN_START
+            more = {"started": started, "imported": imported}
+            self._begin(replace(about, metadata={**about.metadata, **more}))
+        for entry in early:
+            if isinstance(entry, Status):
+                self.status(entry)
+            elif isinstance(entry, Estimate):
+                self.estimate(entry)
+            else:
+                self.reading(entry)
+
     def reading(self, reading: Reading) -> None:
+        if self._about is not None:
+            if not isinstance(reading, Block):
+                self._early.append(reading)
+                return
+            self._date(reading)
         if isinstance(reading, Block):
-            self._block(reading)
+            for piece in self._pieces(reading):
+                self._block(piece)
         elif isinstance(reading, Gap):
             self._join()
             self._add(codec.GAP_CHANNEL, self._last_ns, codec.encode_gap(reading))
         elif isinstance(reading, Notice):
-            wall_ns = reading.t_host_ns + self._wall_offset_ns
+            wall_ns = self._last_ns if self._recorded else reading.t_host_ns + self._wall_offset_ns
             self._add(codec.NOTICE_CHANNEL, wall_ns, codec.encode_notice(reading, wall_ns))
         elif reading != self._info:
             self._join()
@@ -77,11 +123,18 @@ class LogEncoder:
             self._introduce()
 
     def estimate(self, estimate: Estimate) -> None:
+        if self._about is not None:
+            self._early.append(estimate)
+            return
         self._join()
         self._add(codec.ESTIMATE_CHANNEL, self._last_ns, codec.encode_estimate(estimate))
 
     def status(self, status: Status) -> None:
-        self._add(codec.STATUS_CHANNEL, status.t_host_ns + self._wall_offset_ns, codec.encode_status(status))
+        if self._about is not None:
+            self._early.append(status)
+            return
+        wall_ns = self._last_ns if self._recorded else status.t_host_ns + self._wall_offset_ns
+        self._add(codec.STATUS_CHANNEL, wall_ns, codec.encode_status(status))
 
     def raw_message(self, topic: int, log_time: int, publish_time: int, data: bytes) -> None:
         """A message as it was in another log: for `recover`."""
@@ -104,6 +157,8 @@ class LogEncoder:
 
     def finish(self) -> None:
         """The last chunk, index and footer; with them the log is complete."""
+        if self._about is not None:
+            self._date(None)
         self._join()
         if self._envelope:
             self._preview(self._envelope.rest())
@@ -124,7 +179,7 @@ class LogEncoder:
     def _end_chunk(self) -> None:
         self._mcap.flush()
         self._introduce()
-        self._chunk_bytes = 0
+        self._chunk_bytes, self._chunk_index = 0, None
 
     def _add(self, topic: int, log_time: int, data: bytes, publish_time: int | None = None) -> None:
         if self._chunk_bytes >= CHUNK_BYTES:
@@ -142,13 +197,34 @@ class LogEncoder:
         if self._waiting:
             last = self._waiting[-1]
             follows = block.index == last.index + len(last.counts)
-            if not follows or (block.t_device_ns is None) != (last.t_device_ns is None):
+            if (
+                self._waiting_rows + len(block.counts) > self._most_rows
+                or not follows
+                or (block.t_device_ns is None) != (last.t_device_ns is None)
+            ):
                 self._join()
         self._waiting.append(block)
         self._waiting_rows += len(block.counts)
         self.fresh = False
-        if self._waiting_rows >= JOINED_ROWS:
+        if self._waiting_rows >= min(JOINED_ROWS, self._most_rows):
             self._join()
+
+    @property
+    def _most_rows(self) -> int:
+        """Of a chunk."""
+        return max(1, int(CHUNK_S * self._info.rate_hz)) if self._info else JOINED_ROWS
+
+    def _pieces(self, block: Block) -> Iterator[Block]:
+        """A block of a recording in pieces that fit into a chunk each; one of a link is as it came."""
+        rows, most = len(block.counts), self._most_rows
+        if self._recorded is None or rows <= most or self._info is None:
+            yield block
+            return
+        for start in range(0, rows, most):
+            stop, period_ns = min(start + most, rows), 1e9 / self._info.rate_hz
+            host_ns = block.t_host_ns - round((rows - stop) * period_ns)
+            device_ns = None if block.t_device_ns is None else block.t_device_ns + round(start * period_ns)
+            yield Block(block.index + start, block.counts[start:stop], host_ns, device_ns)
 
     def _join(self) -> None:
         """Write the blocks that wait as one message."""
@@ -160,6 +236,10 @@ class LogEncoder:
         if not self._axis_ns:
             self._axis_ns = wall_ns - round((last.index + len(last.counts)) * 1e9 / self._info.rate_hz)
         self._last_ns = wall_ns
+        stop = last.index + len(last.counts)
+        if self._chunk_index is not None and stop - self._chunk_index > self._most_rows:
+            self._end_chunk()
+        self._chunk_index = blocks[0].index if self._chunk_index is None else self._chunk_index
         self._add(codec.RAW_CHANNEL, wall_ns, codec.encode_blocks(blocks), self._on_axis(blocks[0].index))
         if self._envelope:
             counts = last.counts if len(blocks) == 1 else np.concatenate([b.counts for b in blocks])

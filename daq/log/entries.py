@@ -106,7 +106,7 @@ class _Decoder:
                 return head
             case codec.INFO_CHANNEL if data != self._info:
                 info = codec.decode_info(data)
-                if not info.rate_hz > 0 or not np.isfinite(info.rate_hz) or not 2 <= info.count_bits <= 32:
+                if not info.rate_hz > 0 or not np.isfinite(info.rate_hz) or not 1 <= info.count_bits <= 32:
                     raise ValueError(f"a rate of {info.rate_hz} Hz, {info.count_bits} bits")
                 self._info, self._channels = data, len(info.signals)
                 return info

@@ -45,18 +45,18 @@ class LogFile:
         self.cut = False  # by another program: what was stored is not there any more
         self._tail = self._witness = (0, b"")  # offset and bytes: the end of the last write, and of the one before
         self._syncing: threading.Thread | None = None
-        self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
+        self._hidden: Path | None = None
         self._aside: Path | None = None
         try:
-            if self._hidden is None:
+            if not whole or (path.exists() and not path.is_file()):
                 self._fd, self._aside = emptied(path, opened(path, path))
             elif being_written(path):
                 raise refused(path)
             else:
                 with unbroken():
-                    self._fd = opened(self._hidden, path)
+                    self._fd, self._hidden = unfinished.private(path)
                     unfinished.begin(self._hidden)
-                    os.ftruncate(self._fd, 0)  # of one that was killed
+                locked(self._fd)
         except OSError as error:
             raise _not_to_be_had(path, error) from error
 
@@ -176,7 +176,7 @@ class LogFile:
             with unbroken():
                 if self.path.exists() and not made(self.path):
                     self.kept = moved_aside(self.path)
-                self._hidden.replace(self.path)
+                unfinished.named(self._hidden, self.path)
                 unfinished.finish(self._hidden)
                 self._hidden = None
         elif self._aside is not None and made(self._aside):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from daq.base.contract.dates import utc_text
+
 from .reader import Recording
 
 
@@ -12,7 +14,7 @@ def info(log: Recording) -> dict[str, Any]:
     out: dict[str, Any] = {
         "schema": 1,
         "log": str(log.path),
-        "started": None if log.started is None else log.started.isoformat(),
+        "started": None if log.started_ns is None else utc_text(log.started_ns),
         "seconds": log.seconds,
         "rate_hz": log.rate_hz,
         "channels": list(log.channels),

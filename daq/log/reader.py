@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.base.contract.dates import LATEST_NS, UNKNOWN_START
 from daq.base.contract.errors import LogError
 from daq.base.contract.scaling import Scaling, now_at
 from daq.base.contract.sink import ClockState, Status
@@ -57,10 +57,10 @@ class Recording:
     clocks : (sample index, mapping of device to host clock) for each statement of the clock.
     last_status : the last status; None if there is none.
     findings : what the pass over the file found.
+    started_ns : Unix time of the first sample, ns; None of a recording whose source says no date.
     growing : another process is writing the log; it was read up to `stop`.
     others : samples under a later description of the device that is no continuation of `info` (another rate, channels
         or unit); `counts` and `samples` leave them out like a gap.
-    started : time of the first sample, UTC; None where the log does not know it: an imported file states none.
     """
 
     path: Path
@@ -77,7 +77,12 @@ class Recording:
     findings: Findings = field(repr=False)
     growing: bool = False
     others: tuple[Other, ...] = ()
-    started: datetime | None = None
+    started_ns: int | None = None
+
+    @property
+    def started(self) -> datetime | None:
+        """Time of the first sample, UTC, to the microsecond; None if it is not known."""
+        return None if self.started_ns is None else datetime.fromtimestamp(self.started_ns // 1000 / 1e6, UTC)
 
     @property
     def rate_hz(self) -> float:
@@ -286,7 +291,7 @@ def read_log(path: str | Path, *, max_events: int = MOST_EVENTS) -> Recording:
         path=path, head=said.head, info=said.info, first=said.first or 0, stop=said.stop, lost_samples=said.lost,
         gaps=tuple(said.gaps), notices=tuple(said.notices), estimates=tuple(said.estimates),
         clocks=tuple(said.clocks), last_status=said.status, findings=findings,
-        growing=written and not findings.closed, others=tuple(said.others), started=said.started(),
+        growing=written and not findings.closed, others=tuple(said.others), started_ns=said.started_ns,
     )  # fmt: skip
 
 
@@ -304,7 +309,7 @@ class _Said:
         self.estimates: list[LoggedEstimate] = []
         self.clocks: list[tuple[int, ClockState]] = []
         self.others: list[Other] = []
-        self._first_block: RawBlock | None = None
+        self._first_ns = 0  # host time of the first sample
         self._deviation = ""  # of the description in force from the first one
 
     @property
@@ -312,12 +317,24 @@ class _Said:
         events = len(self.gaps) + len(self.notices) + len(self.estimates)
         return events + len(self.clocks) + len(self.others)
 
+    @property
+    def started_ns(self) -> int | None:
+        """Unix time of the first sample, if it is known: before there was a word for it, imports were stamped wrong."""
+        about = self.head.metadata
+        recorded = about.get("command") == "import" or about.get("link_kind") == "capture"
+        if not self._first_ns or about.get("started") == UNKNOWN_START or (recorded and "imported" not in about):
+            return None
+        started_ns = self._first_ns + self.head.wall_offset_ns
+        return started_ns if 0 <= started_ns < LATEST_NS else None  # of a hostile file
+
     def take(self, entry: Entry) -> None:
         """The next entry of the log."""
         match entry:
             case RawBlock():
                 self.first = entry.index if self.first is None else self.first
-                self._first_block = self._first_block or entry
+                if not self._first_ns and self.info is not None:
+                    rows = entry.index - self.first + entry.part_rows[0]
+                    self._first_ns = entry.part_host_ns[0] - round(1e9 * rows / self.info.rate_hz)
                 self.stop = entry.stop
                 if self._deviation:
                     self._count_other(entry)
@@ -341,18 +358,6 @@ class _Said:
                     self.clocks.append((entry.index, entry.clock))
             case Head():
                 self.head = entry
-
-    def started(self) -> datetime | None:
-        """Time of the first sample, UTC."""
-        block, info, head = self._first_block, self.info, self.head
-        imported = head.metadata.get("command") == "import"
-        if block is None or info is None or imported or not head.wall_offset_ns:
-            return None
-        came_ns = block.part_host_ns[0] + head.wall_offset_ns  # of the last row of the first part
-        seconds = came_ns * 1e-9 - block.part_rows[0] / info.rate_hz - (block.index - (self.first or 0)) / info.rate_hz
-        with suppress(ValueError, OverflowError, OSError):  # of a hostile file
-            return datetime.fromtimestamp(seconds, UTC)
-        return None
 
     def _count_other(self, block: RawBlock) -> None:
         same = bool(self.others) and self.others[-1].what == self._deviation

@@ -21,13 +21,16 @@ from daq.base.contract.errors import LogError
 
 # Opcodes of MCAP records
 FOOTER_OPCODE, SCHEMA_OPCODE, CHANNEL_OPCODE, MESSAGE_OPCODE, CHUNK_OPCODE = 0x02, 0x03, 0x04, 0x05, 0x06
-ATTACHMENT_OPCODE, STATISTICS_OPCODE = 0x09, 0x0B
+ATTACHMENT_OPCODE, STATISTICS_OPCODE, DATA_END_OPCODE = 0x09, 0x0B, 0x0F
 RECORD_STRUCT = struct.Struct("<BQ")  # opcode, length
 CHUNK_HEAD = struct.Struct("<QQQII4s")  # start, end, uncompressed size, CRC, length of the next: "zstd"
 SIZE_STRUCT = struct.Struct("<Q")
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 ZSTD_SIGNATURE = b"\x04\x00\x00\x00zstd"
 SIGNATURE_AT = RECORD_STRUCT.size + 28
+HEADS_BYTES = RECORD_STRUCT.size + CHUNK_HEAD.size + SIZE_STRUCT.size  # of a chunk, before what is packed in it
+FOOTER_BYTES = RECORD_STRUCT.size + 20 + len(LOG_MAGIC)  # with the magic at the end
+TOO_MUCH = "holds more than a log of its size can: it was not made by Rotorscope"
 MAX_CHUNK_BYTES = 64 << 20  # bytes of a chunk, before and after compression: no file makes us allocate more at once
 READ_BYTES = 1 << 20  # a call
 
@@ -68,56 +71,132 @@ def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
 
 
+@dataclass(slots=True)
+class _Limits:
+    """What a file of this size may still make us do, whatever it says.
+
+    A log of ours has at least 16 bytes of index for each message, and its chunks expand 500 times at most.
+    """
+
+    unpacked_bytes: int
+    records: int
+    damaged_bytes: int
+
+    @classmethod
+    def of(cls, size: int) -> _Limits:
+        return cls(1000 * size + MAX_CHUNK_BYTES, size // 8 + 100_000, 4 * size + MAX_CHUNK_BYTES)
+
+    @property
+    def spent(self) -> bool:
+        return min(self.unpacked_bytes, self.records, self.damaged_bytes) < 0
+
+
+class _Record(NamedTuple):
+    """A record's head: opcode, bytes of its content, where it ends; packed : of the chunk that it looks like."""
+
+    op: int
+    length: int
+    end: int
+    packed: int | None
+
+
 def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Message]]:
-    if file.read(len(LOG_MAGIC)) != LOG_MAGIC:
+    magic = file.read(len(LOG_MAGIC))
+    if magic != LOG_MAGIC:
         findings.damage.append("the first 8 bytes are not those of an MCAP file")
-    at, budget, unpacker = len(LOG_MAGIC), 4 * size + MAX_CHUNK_BYTES, zstandard.ZstdDecompressor()
+    at, limits, unpacker = len(LOG_MAGIC), _Limits.of(size), zstandard.ZstdDecompressor()
+    crc = zlib.crc32(magic)  # of all before the end of the data: of indexes and names, too, that no other covers
     while at < size:
-        file.seek(at)
-        head = file.read(RECORD_STRUCT.size)
-        op, length = RECORD_STRUCT.unpack(head) if len(head) == RECORD_STRUCT.size else (0, 0)
-        end = at + RECORD_STRUCT.size + length
-        if not 1 <= op <= 0x0F or end > size:
-            problem = "ends inside a record" if end > size or len(head) < RECORD_STRUCT.size else "is not a record"
-        elif op == CHUNK_OPCODE:
-            chunk = (
-                _chunk(file.read(length), unpacker) if length <= MAX_CHUNK_BYTES else "is a chunk too large to be ours"
-            )
+        record, problem = _record(file, at, size), ""
+        if record.packed is not None:  # a chunk, whatever a flipped bit makes of its kind or its length
+            content = file.read(CHUNK_HEAD.size + SIZE_STRUCT.size + record.packed)
+            chunk = _chunk(content, unpacker, limits)
             if not isinstance(chunk, str):
-                messages = list(_messages(chunk, findings))
+                if record.op != CHUNK_OPCODE or record.length != len(content):
+                    findings.damage.append(f"at byte {at} of {size} the head of a chunk is damaged, its content is not")
+                messages = list(_messages(chunk, findings, limits))
                 findings.chunks += 1
                 findings.messages += len(messages)
                 yield messages
-                at = end
+                crc = zlib.crc32(content, zlib.crc32(_at(file, at, RECORD_STRUCT.size), crc))
+                at += RECORD_STRUCT.size + len(content)
+                if limits.spent:
+                    findings.damage.append(f"{TOO_MUCH}; the rest is left out")
+                    return
                 continue
-            problem = chunk
-            budget -= min(length, MAX_CHUNK_BYTES)
-        elif op == FOOTER_OPCODE:
-            findings.closed = _closed(file, at, size, findings)
-            return
-        else:
-            problem = _attachment(file.read(length), findings) if op == ATTACHMENT_OPCODE else ""
-            if op != ATTACHMENT_OPCODE and _next_chunk(file, at + 1, end) is not None:
-                problem = "has a record that swallows a chunk"  # its length has no checksum: never trust it that far
-            if not problem:
-                at = end
-                continue
+            problem = chunk if record.op == CHUNK_OPCODE or record.length == len(content) else ""
+            limits.damaged_bytes -= record.packed
+        if not problem:
+            problem, crc = _other(file, at, size, record, crc, findings)
+        if not problem:
+            if record.op == FOOTER_OPCODE:
+                return
+            at = record.end
+            continue
         findings.damage.append(f"at byte {at} of {size} the file {problem}")
         found = _next_chunk(file, at + 1, size)
-        if found is None or budget < 0:
+        if found is None or limits.spent:
             return
         at = found
 
 
-def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor) -> bytes | str:
+def _record(file: BinaryIO, at: int, size: int) -> _Record:
+    """The head of the record at `at`; opcode 0 if there is no whole one."""
+    head = _at(file, at, HEADS_BYTES)
+    file.seek(at + RECORD_STRUCT.size)
+    if len(head) < RECORD_STRUCT.size:
+        return _Record(0, 0, size + 1, None)
+    op, length = RECORD_STRUCT.unpack_from(head)
+    packed = None
+    if len(head) == HEADS_BYTES and head[SIGNATURE_AT : SIGNATURE_AT + len(ZSTD_SIGNATURE)] == ZSTD_SIGNATURE:
+        (said,) = SIZE_STRUCT.unpack_from(head, HEADS_BYTES - SIZE_STRUCT.size)
+        alike = op == CHUNK_OPCODE or length == HEADS_BYTES - RECORD_STRUCT.size + said
+        packed = said if alike and said <= min(MAX_CHUNK_BYTES, size - at - HEADS_BYTES) else None
+    return _Record(op, length, at + RECORD_STRUCT.size + length, packed)
+
+
+def _other(file: BinaryIO, at: int, size: int, record: _Record, crc: int, findings: Findings) -> tuple[str, int]:
+    """What is wrong with a record that is no chunk, else ""; and the checksum over the file up to its end."""
+    if record.end > size:
+        return "ends inside a record", crc
+    if not 1 <= record.op <= DATA_END_OPCODE:
+        return "is not a record", crc
+    if record.op == CHUNK_OPCODE:
+        return "has a damaged chunk header", crc
+    if record.op == FOOTER_OPCODE:
+        if size - at != FOOTER_BYTES:
+            return "has an end that is not at its end", crc
+        findings.closed = _closed(file, at, size, findings)
+        return "", crc
+    if record.op == ATTACHMENT_OPCODE:
+        content = _at(file, at, record.end - at)
+        return _attachment(content[RECORD_STRUCT.size :], findings), zlib.crc32(content, crc)
+    if _next_chunk(file, at + 1, size, record.end) is not None:
+        return "has a record that swallows a chunk", crc  # its length has no checksum: never trust it that far
+    if record.op == DATA_END_OPCODE and record.length == 4:
+        said = int.from_bytes(_at(file, at + RECORD_STRUCT.size, 4), "little")
+        if said not in (0, crc) and not findings.damage:  # 0: of a log that was written without it
+            findings.damage.append("a byte is changed that is part of no sample: in an index, or a name")
+        return "", crc
+    for start in range(at, record.end, READ_BYTES):
+        crc = zlib.crc32(_at(file, start, min(READ_BYTES, record.end - start)), crc)
+    return "", crc
+
+
+def _at(file: BinaryIO, at: int, count: int) -> bytes:
+    file.seek(at)
+    return file.read(count)
+
+
+def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor, limits: _Limits) -> bytes | str:
     """The records of a chunk, or what is wrong with it."""
-    if len(content) < CHUNK_HEAD.size + SIZE_STRUCT.size:
-        return "has a chunk that is too short"
-    *_, unpacked, crc, name_length, name = CHUNK_HEAD.unpack_from(content)
-    (packed,) = SIZE_STRUCT.unpack_from(content, CHUNK_HEAD.size)
+    *_, unpacked, crc, _, _ = CHUNK_HEAD.unpack_from(content)
     data = memoryview(content)[CHUNK_HEAD.size + SIZE_STRUCT.size :]
-    if name_length != 4 or name != b"zstd" or packed != len(data) or unpacked > MAX_CHUNK_BYTES:
-        return "has a damaged chunk header"
+    if unpacked > MAX_CHUNK_BYTES:
+        return "has a damaged chunk header, or a chunk too large to be ours"
+    limits.unpacked_bytes -= unpacked
+    if limits.spent:
+        return TOO_MUCH
     try:
         if zstandard.frame_content_size(data) != unpacked:
             return "has a damaged chunk"
@@ -127,11 +206,17 @@ def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor) -> bytes | str:
     return records if len(records) == unpacked and zlib.crc32(records) == crc else "has a damaged chunk"
 
 
-def _messages(records: bytes, findings: Findings) -> Iterator[Message]:
+def _messages(records: bytes, findings: Findings, limits: _Limits) -> Iterator[Message]:
     at, size = 0, len(records)
     while at + RECORD_STRUCT.size <= size:
         op, length = RECORD_STRUCT.unpack_from(records, at)
         at += RECORD_STRUCT.size
+        limits.records -= 1
+        if op not in (SCHEMA_OPCODE, CHANNEL_OPCODE, MESSAGE_OPCODE):
+            findings.damage.append("a chunk holds what belongs into none")
+            return
+        if limits.spent:
+            return
         if at + length > size:
             findings.damage.append("a chunk holds half a record")
             return
@@ -163,7 +248,7 @@ def _attachment(content: bytes, findings: Findings) -> str:
 def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bool:
     """Whether footer, magic and summary are whole and count the same chunks and messages as were found."""
     file.seek(footer_at)
-    footer = file.read(size - footer_at) if size - footer_at == RECORD_STRUCT.size + 20 + len(LOG_MAGIC) else b""
+    footer = file.read(size - footer_at)
     if not footer.endswith(LOG_MAGIC):
         findings.damage.append("the end of the file is damaged")
         return False
@@ -193,29 +278,20 @@ def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bo
     return True
 
 
-def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
-    """Where the next chunk after `at` may begin."""
-    seek, stop = at + SIGNATURE_AT, size + SIGNATURE_AT  # of a chunk that begins before `size`
+def _next_chunk(file: BinaryIO, at: int, size: int, before: int | None = None) -> int | None:
+    """Where the next chunk from `at` on, and before `before`, may begin."""
+    before = size if before is None else before
+    seek, stop = at + SIGNATURE_AT, before + SIGNATURE_AT
     while seek < stop:
         file.seek(seek)
         piece = file.read(min(READ_BYTES, stop - seek) + len(ZSTD_SIGNATURE))
         found = piece.find(ZSTD_SIGNATURE)
         while found >= 0:
             start = seek + found - SIGNATURE_AT
-            if start >= size:
+            if start >= before:
                 return None
-            file.seek(start)
-            head = file.read(RECORD_STRUCT.size + CHUNK_HEAD.size + SIZE_STRUCT.size)
-            if (
-                head[:1] == bytes([CHUNK_OPCODE])
-                and len(head) == RECORD_STRUCT.size + CHUNK_HEAD.size + SIZE_STRUCT.size
-            ):
-                length, packed = (
-                    SIZE_STRUCT.unpack_from(head, 1)[0],
-                    SIZE_STRUCT.unpack_from(head, len(head) - SIZE_STRUCT.size)[0],
-                )
-                if length == CHUNK_HEAD.size + SIZE_STRUCT.size + packed:
-                    return start
+            if _record(file, start, size).packed is not None:
+                return start
             found = piece.find(ZSTD_SIGNATURE, found + 1)
         seek += READ_BYTES
     return None

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from daq.base.contract.clock import Clock, SystemClock
+from daq.base.contract.dates import Recorded
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session, SinkHealth, Status
 from drivers.contract import Block, Gap, Notice, Reading
@@ -35,6 +36,7 @@ class LogWriter:
         and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
         fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
     file : makes the file from its path.
+    recorded : the samples are not of now, see `Recorded`.
     A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
     A file that was removed, alone or with its folder, is put back with all its bytes; one that was moved is followed;
     of one that another program cut, what is gone is gone. `health` tells the operator.
@@ -43,12 +45,13 @@ class LogWriter:
     def __init__(
         self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None,
         wanted: Callable[[], bool] = lambda: True, file: Callable[..., LogFile] = LogFile,
+        recorded: Recorded | None = None,
     ) -> None:  # fmt: skip
         self._clock: Clock = clock or SystemClock()
         self._file = file(Path(path), whole=not live)
         self._wanted = wanted
         self._holds_data = False
-        self._encoder = LogEncoder(self._file)
+        self._encoder = LogEncoder(self._file, recorded)
         self._live = live
         self._limit = limit_bytes
         self._changed = threading.Condition()
@@ -249,7 +252,7 @@ class LogWriter:
 
     def _encode(self, item: Item) -> None:
         if isinstance(item, Session):
-            self._encoder.start(item, self._clock.wall_offset_ns())
+            self._encoder.start(item, self._clock.wall_offset_ns(), self._clock.now_ns())
         elif isinstance(item, Estimate):
             self._encoder.estimate(item)
         elif isinstance(item, Status):

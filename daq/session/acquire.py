@@ -26,6 +26,7 @@ from .pipeline import Pipeline, Plan
 from .reading_queue import QUEUE_BYTES, ReadingQueue
 
 FINITE_KINDS = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
+RECORDED_KINDS = ("capture", "replay")  # of those, what was recorded before
 READ_S = 0.1
 LINK_S = 0.5  # a link that is closed wakes whoever reads it
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on

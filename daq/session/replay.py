@@ -36,6 +36,7 @@ class ReplayDriver:
         if speed is not None and not speed > 0:
             raise ValueError(f"a speed of {speed} times real time is not above 0")
         self.stats = LinkStats()
+        self.wall_offset_ns = recording.head.wall_offset_ns if recording.started_ns is not None else None
         self._recording = recording
         self._speed = speed
         self._clock: Clock = clock or SystemClock()

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
+from daq.base.contract.dates import Recorded
 from daq.base.contract.errors import ConfigError, LogError
 from daq.base.contract.sink import Sink
 from daq.log.reader import Recording, read_log
@@ -15,7 +16,7 @@ from daq.log.writer import LogWriter
 from daq.rig.rig import Rig
 from drivers.contract import LinkOpenError
 
-from .acquire import FINITE_KINDS, Notify, RunSummary, acquire_from
+from .acquire import FINITE_KINDS, RECORDED_KINDS, Notify, RunSummary, acquire_from
 from .links import open_driver
 from .naming import Naming
 from .replay import logged_rig, replay_into
@@ -72,7 +73,8 @@ def acquire(
     """
     driver = open_driver(link, rig)
     live = driver.kind not in FINITE_KINDS
-    sinks = _sinks(rig, out, live)
+    recorded = Recorded(getattr(driver, "wall_offset_ns", None)) if driver.kind in RECORDED_KINDS else None
+    sinks = _sinks(rig, out, live, recorded)
     name = link or rig.link.url or ""
     metadata = {"command": "acquire", "link": name}
     summary = acquire_from(rig, driver, sinks, seconds, stop, metadata=metadata, notify=notify)
@@ -135,7 +137,8 @@ def replay(
     recording = log if isinstance(log, Recording) else read_log(log)
     refuse_own_log(recording.path, out)
     rig = rig or logged_rig(recording)
-    sinks = _sinks(rig, out, live=False)
+    dated = recording.started_ns is not None
+    sinks = _sinks(rig, out, live=False, recorded=Recorded(recording.head.wall_offset_ns if dated else None))
     summary = replay_into(recording, rig, sinks, speed=speed, check=check, seconds=seconds, stop=stop, notify=notify)
     problem = replay_failure(summary, recording.path, out)
     if problem is not None:
@@ -143,8 +146,8 @@ def replay(
     return summary
 
 
-def _sinks(rig: Rig, out: str | Path | None, live: bool) -> list[Sink]:
-    writers: list[Sink] = [] if out is None else [LogWriter(out, live=live)]
+def _sinks(rig: Rig, out: str | Path | None, live: bool, recorded: Recorded | None) -> list[Sink]:
+    writers: list[Sink] = [] if out is None else [LogWriter(out, live=live, recorded=recorded)]
     return writers + naming_sinks(rig, live)
 
 

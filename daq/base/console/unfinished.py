@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -33,7 +34,10 @@ def wanted(path: Path) -> bool:
 def remove(path: Path) -> None:
     with unbroken():
         _names.discard(path)
-        path.unlink(missing_ok=True)
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @atexit.register
@@ -45,13 +49,32 @@ def remove_all() -> None:
 
 
 @contextmanager
-def half(path: Path) -> Iterator[None]:
-    """What is made at `path` within is gone afterwards, unless it got another name."""
-    begin(path)
+def half(path: Path) -> Iterator[Path]:
+    """A place for what is to get the name `path`, in a folder of ours beside it; gone afterwards with what is in it.
+
+    No other user can lay a link there that would have us write elsewhere. Raises OSError.
+    """
+    with unbroken():
+        folder = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        begin(folder)
     try:
-        yield
+        yield folder / path.name
     finally:
-        remove(path)
+        remove(folder)
+
+
+def private(path: Path) -> tuple[int, Path]:
+    """A new file of ours beside `path`, open, that is to get its name: no link is followed. Raises OSError."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    return handle, Path(name)
+
+
+def named(temporary: Path, path: Path) -> None:
+    """Give a file made by `private` its name, and let others read it, as a new file. Raises OSError."""
+    umask = os.umask(0)
+    os.umask(umask)
+    os.chmod(temporary, 0o666 & ~umask)
+    os.replace(temporary, path)
 
 
 def led_to(path: Path) -> Path:
@@ -74,10 +97,7 @@ def write(path: Path, data: bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(data)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(name, 0o666 & ~umask)
-            os.replace(name, path)
+            named(Path(name), path)
         except BaseException:
             os.unlink(name)
             raise

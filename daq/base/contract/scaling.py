@@ -16,13 +16,19 @@ def now_at(first: Info, info: Info) -> list[int] | str:
     if info.rate_hz != first.rate_hz:
         return f"{info.rate_hz:g} Hz instead of {first.rate_hz:g} Hz"
     names, wanted = [s.name for s in info.signals], [s.name for s in first.signals]
-    if not set(wanted) <= set(names) and len(names) != len(wanted):
+    if len(names) != len(wanted) and (not set(wanted) <= set(names) or len(set(wanted)) < len(wanted)):
         return f"channels {', '.join(names)} instead of {', '.join(wanted)}"
-    columns = [names.index(name) for name in wanted] if set(wanted) <= set(names) else list(range(len(names)))
+    named = set(wanted) <= set(names) and len(set(wanted)) == len(wanted)  # a device may give one name to several
+    columns = [names.index(name) for name in wanted] if named else list(range(len(wanted)))
     for column, signal in zip(columns, first.signals, strict=True):
         if (unit := info.signals[column].unit) != signal.unit:
             return f"{signal.name} in {unit or 'no unit'} instead of {signal.unit or 'none'}"
     return columns
+
+
+def full_scale_count(count_bits: int) -> int:
+    """A count there or beyond may be a clipped value; a signal of one bit has only two values, and is never clipped."""
+    return 2 ** (count_bits - 1) - 1 if count_bits > 1 else 2**31
 
 
 class Scaling:
@@ -33,7 +39,7 @@ class Scaling:
         chosen = info.signals if columns is None else [info.signals[i] for i in columns]
         self.scale = np.array([s.scale for s in chosen], dtype=np.float64)
         self.offset = np.array([s.offset for s in chosen], dtype=np.float64)
-        self.full_scale = 2 ** (info.count_bits - 1) - 1  # a count there or beyond may be a clipped value
+        self.full_scale = full_scale_count(info.count_bits)
 
     def select(self, counts: Counts) -> Counts:
         return counts if self.columns is None else counts[:, self.columns]

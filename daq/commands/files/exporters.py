@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import csv
+import io
+import json
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,42 +17,85 @@ from numpy.typing import NDArray
 from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines
 from daq.base.console.unfinished import half, led_to
+from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import ConfigError, LogError, not_written
 from daq.log.reader import Recording, read_log
 from daq.rig.rig import Rig
 
 CSV_ROWS = 50_000
+LONGEST_MAT_NAME = 63  # characters, of a variable of MATLAB
+RESERVED_NAMES = {
+    ".npz": ("rate_hz", "started", "channels", "units", "file"),  # file: the first argument of numpy.savez
+    ".csv": ("time",),
+    ".mat": ("rate_hz", "started", "channels", "units"),
+    ".mf4": ("time",),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """names, units and (n, channels) values; NaN where a sample is missing."""
+    """names, units and (n, channels) values; NaN where a sample is missing.
+
+    channels : their names in the log, which may be equal, or taken in a format. started_ns : Unix time of row 0.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: NDArray[np.float64]
     rate_hz: float
+    channels: tuple[str, ...] = ()
+    started_ns: int | None = None
+
+    @property
+    def started(self) -> str:
+        """As text; "" if it is not known."""
+        return "" if self.started_ns is None else utc_text(self.started_ns)
 
 
 def export(output: Output, log: Path, to: Path) -> None:
-    writer = WRITER_OF_SUFFIX.get(to.suffix.lower())
+    suffix = to.suffix.lower()
+    writer = WRITER_OF_SUFFIX.get(suffix)
     if writer is None:
         raise ConfigError(
             f'{to}: cannot export to a file that ends in "{to.suffix}"; known are {", ".join(WRITER_OF_SUFFIX)}'
         )
-    recording = read_log(log)
+    recording, notes = read_log(log), list[str]()
     with output.progress(f"exporting to {to.name}"):
-        table = in_units(recording)
+        table = named(in_units(recording, notes.append), suffix)
         if not len(table.values):
             raise LogError(f"{log}: holds no samples; there is nothing to export")
         try:
             place = led_to(to)
-            temporary = place.with_name(f".{place.name}.part{to.suffix}")
-            with half(temporary):
+            with half(place) as temporary:
                 writer(table, temporary)
                 temporary.replace(place)
         except OSError as error:
             raise not_written(to, error) from error
+    for line in notes:
+        output.note(line)
+    _say(output, recording, table, to)
+    value = {
+        "schema": 1,
+        "file": str(to),
+        "channels": list(table.names),
+        "units": list(table.units),
+        "samples": recording.n_samples,
+        "lost_samples": recording.lost_samples,
+        "rate_hz": table.rate_hz,
+        "started": table.started or None,
+    }
+    seconds = len(table.values) / table.rate_hz
+    output.result(value, f"{to}: {seconds:.6g} s of {', '.join(table.names)} at {table.rate_hz:g} Hz")
+
+
+def _say(output: Output, recording: Recording, table: Table, to: Path) -> None:
+    """What a reader of the export has to know."""
+    log = recording.path
+    for number, (name, channel) in enumerate(zip(table.names, table.channels, strict=True), 1):
+        if name != channel:
+            output.note(
+                f'{to}: channel {number}, "{channel}", is called "{name}" there: its name is taken or not allowed'
+            )
     for line in gap_lines(recording.gaps, recording.first, recording.rate_hz):
         output.note(line)
     if recording.lost_samples:
@@ -58,43 +106,57 @@ def export(output: Output, log: Path, to: Path) -> None:
         output.note(f"{log}: is being written; {to} ends with sample {recording.stop - 1}")
     elif not recording.complete:
         output.note(f"{log}: is not complete; `rotorscope recover` says what was lost")
-    value = {
-        "schema": 1,
-        "file": str(to),
-        "channels": list(table.names),
-        "units": list(table.units),
-        "samples": recording.n_samples,
-        "lost_samples": recording.lost_samples,
-        "rate_hz": table.rate_hz,
-    }
-    seconds = len(table.values) / table.rate_hz
-    output.result(value, f"{to}: {seconds:.6g} s of {', '.join(table.names)} at {table.rate_hz:g} Hz")
 
 
-def in_units(recording: Recording) -> Table:
-    """The samples of a log in the units of its own rig file; in SI where that does not know a channel."""
+def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
+    """The samples of a log in the units of its own rig file; in SI where that does not know a channel, or is lost."""
     names, units = recording.channels, [s.unit for s in recording.info.signals]
     values = recording.samples()
+    table = Table(names, tuple(units), values, recording.rate_hz, names, recording.started_ns)
     try:
         rig = Rig.parse(recording.rig_text)
     except (ConfigError, LogError):
-        return Table(names, tuple(units), values, recording.rate_hz)
+        said = ", ".join(f"{n} in {u or 'no unit'}" for n, u in zip(names, units, strict=True))
+        note(f"{recording.path}: holds no intact rig file (rig.toml), so values are in SI units: {said}")
+        return table
     for k, name in enumerate(names):
         if name in rig.units:
             column = [c.name for c in rig.model.channels].index(name)
             values[:, k] /= rig.factors[column]
             units[k] = rig.units[name]
-    return Table(names, tuple(units), values, recording.rate_hz)
+    return replace(table, units=tuple(units))
+
+
+def named(table: Table, suffix: str) -> Table:
+    """With names that the format can hold, each once and none that it needs itself."""
+    taken, names = set(RESERVED_NAMES.get(suffix, ())), []
+    wanted = [_matlab_name(c) if suffix == ".mat" else c or "channel" for c in table.channels]
+    for name in wanted:
+        free, number = name, 2
+        while free in taken or (free != name and free in wanted):
+            end = f"_{number}"
+            free, number = (name[: LONGEST_MAT_NAME - len(end)] if suffix == ".mat" else name) + end, number + 1
+        taken.add(free)
+        names.append(free)
+    return replace(table, names=tuple(names))
+
+
+def _matlab_name(name: str) -> str:
+    text = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return (text if re.match(r"[A-Za-z]", text) else f"x{text}")[:LONGEST_MAT_NAME]
 
 
 def _npz(table: Table, path: Path) -> None:
     arrays = {name: table.values[:, k] for k, name in enumerate(table.names)}
-    np.savez(path, allow_pickle=False, rate_hz=np.float64(table.rate_hz), **arrays)
+    about = {"rate_hz": np.float64(table.rate_hz), "channels": np.array(table.names), "units": np.array(table.units)}
+    if table.started:
+        about["started"] = np.array(table.started)
+    np.savez(path, allow_pickle=False, **about, **arrays)  # type: ignore[arg-type]
 
 
 def _csv(table: Table, path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(["time", *(f"{n} [{u}]" for n, u in zip(table.names, table.units, strict=True))]) + "\n")
+        file.write(_csv_line(["time", *(f"{n} [{u}]" for n, u in zip(table.names, table.units, strict=True))]) + "\n")
         for start in range(0, len(table.values), CSV_ROWS):
             rows = table.values[start : start + CSV_ROWS]
             time = (start + np.arange(len(rows))) / table.rate_hz
@@ -102,14 +164,24 @@ def _csv(table: Table, path: Path) -> None:
                 f"{t:.9f}," + ",".join(map(repr, row)) for t, row in zip(time.tolist(), rows.tolist(), strict=True)
             )
             file.write("\n".join(lines) + "\n")
+        if table.started:
+            file.write(f"# started {table.started}\n")
+
+
+def _csv_line(cells: Iterable[str]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(cells)
+    return text.getvalue()
 
 
 def _mat(table: Table, path: Path) -> None:
     import scipy.io
 
-    names = {name: name.replace(".", "_").replace("-", "_") for name in table.names}
-    columns = {names[name]: table.values[:, k] for k, name in enumerate(table.names)}
-    scipy.io.savemat(path, columns | {"rate_hz": table.rate_hz}, oned_as="column", do_compression=True)
+    columns: dict[str, object] = {name: table.values[:, k] for k, name in enumerate(table.names)}
+    about = {"rate_hz": table.rate_hz, "channels": list(table.names), "units": list(table.units)}
+    if table.started:
+        about["started"] = table.started
+    scipy.io.savemat(path, columns | about, oned_as="column", do_compression=True)
 
 
 def _wav(table: Table, path: Path) -> None:
@@ -118,6 +190,19 @@ def _wav(table: Table, path: Path) -> None:
     if table.rate_hz != round(table.rate_hz):
         raise LogError(f"{path.suffix}: a .wav holds whole rates only, not {table.rate_hz:g} Hz; export to .npz")
     wavfile.write(path, round(table.rate_hz), table.values.astype(np.float32))
+    about = json.dumps({"rotorscope": {"channels": table.channels, "units": table.units, "started": table.started}})
+    info = b"INFO" + _riff(b"ICRD", table.started[:10].encode()) * bool(table.started) + _riff(b"ICMT", about.encode())
+    with path.open("r+b") as file:
+        file.seek(0, io.SEEK_END)
+        file.write(_riff(b"LIST", info))
+        size = file.tell() - 8
+        file.seek(4)
+        file.write(size.to_bytes(4, "little"))
+
+
+def _riff(name: bytes, content: bytes) -> bytes:
+    """A chunk of a .wav."""
+    return name + len(content).to_bytes(4, "little") + content + bytes(len(content) % 2)
 
 
 def _mf4(table: Table, path: Path) -> None:
@@ -130,6 +215,7 @@ def _mf4(table: Table, path: Path) -> None:
             for k, (name, unit) in enumerate(zip(table.names, table.units, strict=True))
         ]
         file.append(signals)
+        file.header.start_time = datetime.fromtimestamp((table.started_ns or 0) / 1e9, UTC)  # 1970: not known
         file.save(path, overwrite=True)
 
 

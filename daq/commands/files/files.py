@@ -11,6 +11,7 @@ from rich.text import Text
 
 from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines, gap_reasons
+from daq.base.contract.dates import utc_text
 from daq.log.reader import Recording, read_log
 from drivers.contract import Notice
 
@@ -31,6 +32,7 @@ def info(output: Output, log: Path) -> None:
 
 def _rows(log: Recording) -> list[tuple[str, str]]:
     rows = [
+        ("started", "not known: its source says no date" if log.started_ns is None else utc_text(log.started_ns)),
         ("length", f"{log.seconds:.6g} s, {log.n_samples} samples of each channel at {log.rate_hz:g} Hz"),
         ("channels", ", ".join(f"{s.name} [{s.unit}]" for s in log.info.signals)),
     ]

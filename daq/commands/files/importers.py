@@ -92,6 +92,7 @@ def write_record(
     note: Callable[[str], None] = lambda text: None, found: Sequence[Notice] = (),
 ) -> None:  # fmt: skip
     """Write a log of a record and of what was found in it: all or none. Raises LogError if it cannot be written."""
+    from daq.base.contract.dates import Recorded
     from daq.log.writer import LogWriter
 
     scales = [power_of_two(v) for v in record.values]
@@ -105,7 +106,7 @@ def write_record(
         count_bits=COUNT_BITS,
     )
     whole = False
-    writer = LogWriter(out, live=False, wanted=lambda: whole)
+    writer = LogWriter(out, live=False, wanted=lambda: whole, recorded=Recorded())
     try:
         writer.start(
             Session(

@@ -39,17 +39,21 @@ class Operator:
 
 def make_sinks(
     output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None,
-    table: bool = True, wanted: Callable[[], bool] | None = None,
+    table: bool = True, wanted: Callable[[], bool] | None = None, recorded: bool = False,
 ) -> list[Sink]:  # fmt: skip
     """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now.
+
+    recorded : the samples are of a recording, and their log is dated by them.
 
     wanted : asked when the log is complete whether it is to be kept.
     """
     sinks: list[Sink] = []
     if out is not None:
+        from daq.base.contract.dates import Recorded
         from daq.log.writer import LogWriter
 
-        sinks.append(LogWriter(out, live=live, wanted=wanted or (lambda: True)))
+        of = Recorded(wall_offset_ns) if recorded else None
+        sinks.append(LogWriter(out, live=live, wanted=wanted or (lambda: True), recorded=of))
     if rerun is not None:
         from daq.report.rerun.sink import RerunSink
 

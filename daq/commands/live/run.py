@@ -5,17 +5,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
 from daq.rig.rig import Rig, load_rig
-from daq.session.acquire import FINITE_KINDS, RunSummary, acquire_from
+from daq.session.acquire import FINITE_KINDS, RECORDED_KINDS, RunSummary, acquire_from
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks, refuse_own_log, replay_failure
 
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
+
+if TYPE_CHECKING:
+    from daq.log.reader import Recording
 
 
 def run(
@@ -59,7 +62,9 @@ def run_rig(
     with Stop() as stop:
         live = driver.kind not in FINITE_KINDS
         wanted = None if not importing else lambda: not stop.event.is_set()
-        sinks = [*make_sinks(output, out, rerun, live=live, wanted=wanted), *naming_sinks(rig, live)]
+        recorded, offset_ns = driver.kind in RECORDED_KINDS, getattr(driver, "wall_offset_ns", None)
+        own = make_sinks(output, out, rerun, live=live, wanted=wanted, recorded=recorded, wall_offset_ns=offset_ns)
+        sinks = [*own, *naming_sinks(rig, live)]
         if server is not None:
             sinks.append(server.sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
@@ -141,7 +146,8 @@ def replay(
                           "leave --rig out, or give that very file")  # fmt: skip
     rig = logged_rig(recording) if rig_path is None else load_rig(rig_path)
     with Stop() as stop:
-        sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
+        offset_ns = recording.head.wall_offset_ns if recording.started_ns is not None else None
+        sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=offset_ns, recorded=True)
         sinks += naming_sinks(rig, live=False)
         summary = replay_into(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=Operator(output))
     _report(output, summary, log_path(sinks, out), {})
@@ -156,7 +162,20 @@ def replay(
             "the log was made by another version or on another kind of machine"
         )
     if check:
-        output.say(f"{log}: all {summary.compared} estimates are the logged ones, bit for bit")
+        _checked(output, recording, summary.compared)
+
+
+def _checked(output: Output, recording: Recording, compared: int) -> None:
+    """The estimates came again. Raises CheckFailed if the log is damaged: what is lost cannot have been compared."""
+    log, findings = recording.path, recording.findings
+    if findings.closed and findings.damage:
+        text = f"is damaged: {findings.damage[0]}; its {compared} intact estimates are the logged ones"
+        raise CheckFailed(f"{log}: {text}; `rotorscope recover` says what was lost")
+    output.say(f"{log}: all {compared} estimates are the logged ones, bit for bit")
+    if recording.growing:
+        output.note(f"{log}: is being written; checked is what it held")
+    elif not recording.complete:
+        output.note(f"{log}: is not complete ({findings.damage[0] if findings.damage else 'it has no end'})")
 
 
 def _speed(text: str) -> float | None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.base.contract.scaling import full_scale_count
 from daq.base.contract.sink import ClockState, Status
 from daq.report.numbers import unit_text
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
@@ -138,7 +139,7 @@ class RerunView:
         self._offset = np.array([s.offset for s in info.signals])
         self._units = list(dict.fromkeys(s.unit for s in info.signals))
         self._by_unit = {unit: [s.name for s in info.signals if s.unit == unit] for unit in self._units}
-        self._full = 2 ** (info.count_bits - 1) - 1
+        self._full = full_scale_count(info.count_bits)
         self._width = max(1, round(2 * info.rate_hz / PREVIEW_HZ))
         self._enough = max(self._width * CALL_ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else CALL_ROWS
         self._pending: list[Block] = []
@@ -193,9 +194,8 @@ class RerunView:
         values = rows * self._scale + self._offset
         for k in range(len(self._signals)):
             self._send(self._path(k), at, self._rr.Scalars.columns(scalars=values[:, k]))
-        clipped = [
-            s.name for s, hit in zip(self._signals, (np.abs(rows) >= self._full).any(axis=0), strict=True) if hit
-        ]
+        hits = np.any(np.abs(rows) >= self._full, axis=0).tolist()
+        clipped = [s.name for s, hit in zip(self._signals, hits, strict=True) if hit]
         self._state("sensors", "clipped: " + " ".join(clipped) if clipped else "in range", blocks[0].index)
         self._tail.push(counts * self._scale + self._offset)
         now = self._index / self._info.rate_hz
