@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
+from daq.base.contract.errors import ConfigError
 from drivers.contract import Driver, Gap, Info, LinkStats, Notice, Reading, Signal
 
-from .units import SI_UNIT, UNITS_OF_KIND, canonical
+from .conversion import conversion
+from .rig_file import ChannelTable
+from .units import SI_UNIT, UNITS_OF_KIND, VOLTS_OF_UNIT, canonical
 
 
 class InSI:
     """A driver whose signals are of any unit, as one that keeps the contract: SI value = counts * scale + offset.
 
-    rig : channel -> kind and unit of the rig file. A unit that the DBC leaves out, or that nobody knows, is the rig's
-    (the latter is told); one of another kind of quantity stays as it is: the pipeline says so.
+    channels : of the rig file. A unit that the DBC leaves out, or that nobody knows, is the rig's (the latter is told);
+    one of another kind of quantity stays as it is: the pipeline says so. Volts need a sensitivity: `read` raises
+    ConfigError without.
     """
 
-    def __init__(self, driver: Driver, rig: Mapping[str, tuple[str, str]]) -> None:
+    def __init__(self, driver: Driver, channels: Iterable[ChannelTable]) -> None:
         self.kind = driver.kind
         self.stats: LinkStats = driver.stats
         self._driver = driver
-        self._rig = rig
+        self._channels = {c.name: c for c in channels}
 
     @property
     def exhausted(self) -> bool:
@@ -48,13 +52,18 @@ class InSI:
 
     def _in_si(self, signal: Signal) -> tuple[Signal, str]:
         """And what is to be said of it."""
-        kind, own = self._rig[signal.name]
+        channel = self._channels[signal.name]
         unit, said = canonical(signal.unit), ""
-        if not any(unit in units for units in UNITS_OF_KIND.values()):
+        if unit not in VOLTS_OF_UNIT and not any(unit in units for units in UNITS_OF_KIND.values()):
             if unit:
-                said = f'{signal.name}: the DBC says "{signal.unit}", which is no unit known here: taken as {own}'
-            unit = canonical(own)
-        factor = UNITS_OF_KIND[kind].get(unit)
-        if factor is None:
+                text = f'the DBC says "{signal.unit}", which is no unit known here: taken as {channel.unit}'
+                said = f"{signal.name}: {text}"
+            unit = canonical(channel.unit) if unit or channel.sensitivity is None else ""
+        if unit and unit not in VOLTS_OF_UNIT and unit not in UNITS_OF_KIND[channel.kind]:
             return signal, said
-        return replace(signal, unit=SI_UNIT[kind], scale=signal.scale * factor, offset=signal.offset * factor), said
+        try:
+            to = conversion(channel, unit)
+        except ValueError as error:
+            raise ConfigError(f"{signal.name}: {error}") from error
+        scale, offset = signal.scale * to.scale, signal.offset * to.scale + to.offset
+        return replace(signal, unit=SI_UNIT[channel.kind], scale=scale, offset=offset), said

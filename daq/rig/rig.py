@@ -84,13 +84,13 @@ class Rig:
 
     @cached_property
     def units(self) -> MappingProxyType[str, str]:
-        """Channel name -> its unit in the file."""
-        return MappingProxyType({c.name: c.unit for c in self.file.channel})
+        """Channel name -> its unit in the file; of a channel in volts, that of what its sensor measures."""
+        return MappingProxyType({c.name: c.quantity_unit for c in self.file.channel})
 
     @cached_property
     def factors(self) -> NDArray[np.float64]:
         """(channels,) SI value of one of each channel's unit."""
-        return np.array([factor(c.kind, c.unit) for c in self.file.channel])
+        return np.array([factor(c.kind, c.quantity_unit) for c in self.file.channel])
 
     @cached_property
     def si_units(self) -> tuple[str, ...]:

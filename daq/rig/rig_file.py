@@ -17,7 +17,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from .bearings import BEARING_GEOMETRIES, of_designation
-from .units import factor, foreign
+from .units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical, factor, foreign, sensitivity_parts
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -247,6 +247,36 @@ class ModelTable(BaseModel):
     __pydantic_extra__: dict[str, dict[str, Any]] = Field(init=False)
 
 
+class SensitivityTable(Table):
+    """What a sensor gives: volts for each unit of what it measures. A negative value turns the sign."""
+
+    value: float
+    unit: Annotated[str, Field(description='such as "mV/g" or "mV/(m/s^2)"')]
+
+    @field_validator("value")
+    @classmethod
+    def some(cls, value: float) -> float:
+        if value == 0:
+            raise ValueError("0: a sensor that gives nothing; give what its certificate says")
+        return value
+
+    @field_validator("unit")
+    @classmethod
+    def of_a_voltage(cls, value: str) -> str:
+        if sensitivity_parts(value)[0] not in VOLTS_OF_UNIT:
+            raise ValueError(f'"{value}" is not a voltage for each unit; write it as "mV/g", "mV/(m/s^2)" or "V/mm"')
+        return value
+
+    @property
+    def denominator(self) -> str:
+        """The unit of what is measured."""
+        return sensitivity_parts(self.unit)[1]
+
+    def volts_per_si(self, kind: str) -> float:
+        """Volts for one SI unit of `kind`. Raises ValueError if it is no sensitivity of that kind."""
+        return self.value * VOLTS_OF_UNIT[sensitivity_parts(self.unit)[0]] / factor(kind, self.denominator)
+
+
 class ChannelTable(Table):
     """A measured channel. Direction z (axial) is recorded only."""
 
@@ -254,7 +284,10 @@ class ChannelTable(Table):
     kind: Literal["acceleration", "velocity", "displacement", "force", "tacho"] = "acceleration"
     node: Node | None = Field(default=None, validate_default=True, description="not of a tacho")
     direction: Literal["x", "y", "z"] | None = Field(default=None, validate_default=True, description="not of a tacho")
-    unit: str
+    sensitivity: SensitivityTable | None = Field(default=None, description="of its sensor, for values in volts")
+    unit: str = Field(description="of the values, where the file or the device does not say it")
+    offset: float = Field(default=0.0, description="the value at rest, in that unit: it is subtracted")
+    alias: str | None = Field(default=None, description="its name in files of others")
 
     @field_validator("node", "direction")
     @classmethod
@@ -266,9 +299,26 @@ class ChannelTable(Table):
     @field_validator("unit")
     @classmethod
     def of_the_kind(cls, value: str, info: ValidationInfo) -> str:
-        if "kind" in info.data:
-            factor(info.data["kind"], value)
+        kind, sensitivity = info.data.get("kind"), info.data.get("sensitivity")
+        if kind is None or (canonical(value) in VOLTS_OF_UNIT and sensitivity is not None):
+            return value
+        if canonical(value) in VOLTS_OF_UNIT and canonical(value) not in UNITS_OF_KIND[kind]:
+            raise ValueError(f'"{value}" needs the sensor: add sensitivity = {{ value = 100.0, unit = "mV/g" }}')
+        factor(kind, value)
         return value
+
+    @field_validator("sensitivity")
+    @classmethod
+    def of_that_kind(cls, value: SensitivityTable | None, info: ValidationInfo) -> SensitivityTable | None:
+        if value is not None and "kind" in info.data:
+            value.volts_per_si(info.data["kind"])
+        return value
+
+    @property
+    def quantity_unit(self) -> str:
+        """The unit of what is measured: for values in volts, that of the sensitivity."""
+        volts = canonical(self.unit) in VOLTS_OF_UNIT and self.sensitivity is not None
+        return self.sensitivity.denominator if volts and self.sensitivity else self.unit
 
 
 class LinkTable(Table):

@@ -49,7 +49,7 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
     if signals is not None and (left := [c for c in rig.units if c not in signals]):
         raise ConfigError(f'link.signals: no signal for {", ".join(left)}; add {left[0]} = "MESSAGE.SIGNAL"')
     driver = make_driver(config, dbc=text, signals=signals, expected=expected)
-    return driver if signals is None else InSI(driver, {c.name: (c.kind, c.unit) for c in rig.file.channel})
+    return driver if signals is None else InSI(driver, rig.file.channel)
 
 
 def _without_dbc(url: str) -> tuple[str, str | None]:
