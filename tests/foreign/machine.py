@@ -11,7 +11,7 @@ from scipy import signal
 
 from . import hidden
 from .motion import Law, Rotor, motion
-from .scene import BOTH_DIRECTIONS, LAWS_OF_CAP, Scene
+from .scene import BOTH_DIRECTIONS, LAWS_OF_CAP, MIN_NATS, Scene
 
 Array = NDArray[np.float64]
 Force = Callable[[Array, Array], Array]
@@ -100,19 +100,36 @@ class Machine:
         r = self.rotor
         return np.asarray(np.linalg.inv(r.K + 1j * rad_s * r.C - rad_s**2 * r.M))
 
+    def floor(self, hz: float) -> float:
+        """One-sided PSD of acceleration at bearing 1 x without tones, (m/s^2)^2/Hz: motion and noise of the sensor."""
+        s, r, i = self.scene, self.rotor, self.at["bearing1.x"]
+        w, rms = 2 * np.pi * hz, self.size["bearing1.x"].a
+        G = self.receptance(w)[i]
+        white = (s.around.white * rms) ** 2 / (s.rate_hz / 2)
+        pink = (s.around.pink * rms) ** 2 / (hz * np.log(s.rate_hz * s.seconds / 2))
+        noise = (white + pink) * (w**2 if s.sensor == "velocity" else 1.0)
+        return float(r.S @ np.abs(w**2 * G) ** 2 + noise)
+
     def _add_surrounding_tones(self) -> None:
         around, rng = self.scene.around, self.scene.rng(5)
+        shown = self.scene.mistake in ("speed", "rate")
         for order, share in ((1.0, around.once), (2.0, around.twice)):
             if share:
-                self._add_order(order, share, "disc" if order == 1.0 else "bearing1", rng)
+                self._add_order(order, share, "disc" if order == 1.0 else "bearing1", rng, shown)
 
-    def _add_order(self, order: float, share: float, where: str, rng: np.random.Generator) -> None:
-        """A force at an order whose bearing force at bearing 1 is a share of the rms one there; it goes round."""
+    def _add_order(self, order: float, share: float, where: str, rng: np.random.Generator, shown: bool) -> None:
+        """A force at an order that goes round, with a share of the bearing force at bearing 1; where `shown` more, if
+        it takes more to be seen in the acceleration."""
+        s, w = self.scene, order * self.turn
         where = where if f"{where}.x" in self.at else "bearing1"
-        G = self.receptance(order * self.turn)[:, self.at[f"{where}.x"]]
-        felt = abs(self.bearing["bearing1.x"] @ G)
+        G = self.receptance(w)[:, self.at[f"{where}.x"]]
         size = self.size["bearing1.x"]
-        force = np.sqrt(2) * share * size.x / felt * np.exp(2j * np.pi * rng.uniform())
+        force = np.sqrt(2) * share * size.x / abs(self.bearing["bearing1.x"] @ G)
+        if shown:
+            bins = 1.0 + 2 * s.around.wander * w / (2 * np.pi) * s.seconds  # that a wandering speed spreads it over
+            least = np.sqrt(2 * MIN_NATS * bins * self.floor(w / (2 * np.pi)) / s.seconds)
+            force = max(force, least / (w**2 * abs(G[self.at["bearing1.x"]])))
+        force = force * np.exp(2j * np.pi * rng.uniform())
         for d, turned in (("x", 1.0), ("y", -1j)):
             if f"{where}.{d}" in self.at:
                 self.tones.append((self.at[f"{where}.{d}"], True, order, force * turned))
@@ -120,7 +137,8 @@ class Machine:
     def _add(self, name: str, where: str, share: float, rng: np.random.Generator) -> None:
         """An effect of a share of the bearing force."""
         if name in ("imbalance", "misalignment"):
-            self._add_order(*((1.0, share, "disc") if name == "imbalance" else (2.0, share, "bearing1")), rng)
+            order, dof = (1.0, "disc") if name == "imbalance" else (2.0, "bearing1")
+            self._add_order(order, share, dof, rng, shown=True)
             return
         own = hidden.numbers(name, share, self.size["bearing1.x"], rng) if name != "local_defect" else ()
         if name == "line":
