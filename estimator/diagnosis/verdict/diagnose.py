@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -9,14 +10,22 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.effects import NAMED
+from estimator.effects.excitation.line import LINE
+from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.machine import MachineSurvey, survey_machine
 from estimator.identification.record import RecordSurvey, record_messages, survey_record, usable_record
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, Message, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
+from .signal_findings import line_entries, shaft_entries, strike_entries, whole_order_messages
+
+BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
+MAX_MESSAGES = 10  # more are not read
 
 
 class Survey(Protocol):
@@ -43,10 +52,10 @@ class Diagnosis:
         What tells the first of the ranking from the second, a sentence.
     messages : tuple of Message
         Remarks for the user.
-    record : Survey or None
-        Whether the record is fit to be judged; None where that was not examined.
-    machine : Survey or None
-        Tones and strike trains; None where these were not sought.
+    record : RecordSurvey
+        Whether the record is fit to be judged.
+    machine : MachineSurvey
+        Tones and strike trains.
     structure : Survey or None
         Modes and excitation; None where these were not sought.
     bearing : BearingJudgement
@@ -58,14 +67,14 @@ class Diagnosis:
     shape: Shape | None = None
     separates: str = ""
     messages: tuple[Message, ...] = ()
-    record: Survey | None = None
-    machine: Survey | None = None
+    record: RecordSurvey
+    machine: MachineSurvey
     structure: Survey | None = None
     bearing: BearingJudgement
 
     def to_json(self) -> dict[str, Any]:
         """The result of diagnose, by its schema."""
-        layers = {"record": self.record, "machine": self.machine, "structure": self.structure}
+        layers: dict[str, Survey | None] = {"record": self.record, "machine": self.machine, "structure": self.structure}
         out: dict[str, Any] = {
             "schema": 1,
             "verdict": self.verdict,
@@ -114,18 +123,12 @@ def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | Non
     >>> diagnose(rig, simulate(true, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).verdict
     'cubic'
     """
+    say = progress or quiet
+    say(0.0, "channels, tones and strikes")
     record = survey_record(model, y, rate_hz)
-    bearing = bearing_layer(model, y, rate_hz, record, progress or quiet)
-    why = () if bearing.judged else (Message(NOT_JUDGED, f"the bearings cannot be judged here: {bearing.reason}"),)
-    return Diagnosis(
-        verdict=bearing.verdict,
-        ranking=bearing.ranking,
-        shape=bearing.shape,
-        separates=bearing.separates,
-        messages=(*why, *record_messages(record), *bearing.messages),
-        record=record,
-        bearing=bearing,
-    )
+    machine = survey_machine(model, y, rate_hz, record)
+    bearing = bearing_layer(model, y, rate_hz, record, say)
+    return verdict_of_layers(model, record, machine, bearing)
 
 
 def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, say: Progress) -> BearingJudgement:
@@ -142,3 +145,65 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, 
     except DataError as problem:
         found = BearingJudgement.not_judged(str(problem))
     return with_clipped_channels(found, model, y, record)
+
+
+def verdict_of_layers(
+    model: Model, record: RecordSurvey, machine: MachineSurvey, bearing: BearingJudgement
+) -> Diagnosis:  # fmt: skip
+    """The verdict of all layers.
+
+    A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
+    shaft's angle, which modulates the vibration at its own order. Imbalance and misalignment go before what is only the
+    trace of a tone. A line is named only where no model of the bearings explains the record.
+    """
+    there = {use.name for use in model.effects}
+    signal = [*strike_entries(model, machine), *shaft_entries(model, record, machine)]
+    if not bearing.judged:
+        signal += line_entries(model, record, machine)
+    signal = [entry for entry in signal if entry.effect not in there]
+    first = signal[0] if signal else None
+    keeps = first is None or _keeps_its_verdict(bearing, first)
+    verdict = bearing.verdict if keeps or first is None else first.effect
+    names = {entry.effect for entry in bearing.ranking} if keeps else set()
+    ranking = _ranking(bearing.ranking, [entry for entry in signal if entry.effect not in names], keeps)
+    return Diagnosis(
+        verdict=verdict,
+        ranking=ranking,
+        shape=bearing.shape if verdict == bearing.verdict else None,
+        separates=bearing.separates if verdict == bearing.verdict else "",
+        messages=_messages(record, machine, bearing, verdict),
+        record=record,
+        machine=machine,
+        bearing=bearing,
+    )
+
+
+def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
+    """Whether the verdict of the bearing layer stands beside the first candidate of the signal."""
+    effect = NAMED.get(bearing.verdict)
+    if effect is None:
+        return False
+    if effect.name == first.effect or first.effect == LINE.name:
+        return True
+    if effect.found_by != "law":
+        return False
+    return first.effect != LOCAL_DEFECT.name or effect.state == "shaft_angle"
+
+
+def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: bool) -> tuple[Entry, ...]:
+    names = {entry.effect for entry in signal}
+    rest = [entry for entry in bearing if entry.effect not in names]
+    return (*rest, *signal) if bearing_first else (*signal, *rest)
+
+
+def _messages(
+    record: RecordSurvey, machine: MachineSurvey, bearing: BearingJudgement, verdict: str
+) -> tuple[Message, ...]:
+    """Remarks of the layers for the user, each once, the reason of a bearing that is not judged first."""
+    said: list[Message] = []
+    if not bearing.judged:
+        code = NOT_JUDGED if verdict == bearing.verdict else BEARING_NOT_JUDGED
+        said.append(Message(code, f"the bearings cannot be judged here: {bearing.reason}"))
+    said += [*record_messages(record), *whole_order_messages(machine), *machine.messages, *bearing.messages]
+    each = tuple({message.text: message for message in said}.values())
+    return each[:MAX_MESSAGES]

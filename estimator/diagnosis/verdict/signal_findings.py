@@ -1,0 +1,164 @@
+"""Effects that tones and strike trains show by themselves, without a model of the bearings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.effects.excitation.line import LINE
+from estimator.effects.rotating.imbalance import IMBALANCE
+from estimator.effects.rotating.local_defect import LOCAL_DEFECT
+from estimator.effects.rotating.misalignment import MISALIGNMENT
+from estimator.identification.machine import MachineSurvey, StrikeTrain, Tone
+from estimator.identification.record import RecordSurvey
+from estimator.model.rig import MOTION, Model
+from estimator.results import Message, Parameter
+
+NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
+MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
+INTEGRATIONS = {MOTION["acceleration"]: 1, MOTION["velocity"]: 0, MOTION["displacement"]: -1}  # to velocity, by unit
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Thresholds:
+    """What a tone or a strike train has to show before it names an effect.
+
+    Parameters
+    ----------
+    max_p_value : float
+        Of a strike train, after counting all orders, bands and channels.
+    min_velocity_m_s : float
+        Velocity rms of the shaft's harmonics. 4.5 mm/s is the boundary of zones B and C of ISO 20816-3 for group 1 on
+        rigid and group 2 on flexible supports, and of zones C and D for group 2 on rigid ones: every shaft has some 1X.
+    min_dominance : float
+        Share of the velocity power from 10 to 1000 Hz that the shaft's harmonics hold. Half: 3 dB.
+    min_second_harmonic_ratio : float
+        Velocity of 2X over that of 1X from which a misaligned coupling is likelier than imbalance (ISO 13373-3:
+        2X comparable with 1X; three quarters in common charts).
+    min_line_power_share : float
+        Share of the power of a channel that one line holds. A tenth: a line 10 dB below the level adds 0.5 dB to it.
+    whole_order_tolerance : float
+        Distance of a strike order from a whole number, in shaft orders.
+    """
+
+    max_p_value: float = 1e-3
+    min_velocity_m_s: float = 4.5e-3
+    min_dominance: float = 0.5
+    min_second_harmonic_ratio: float = 0.75
+    min_line_power_share: float = 0.1
+    whole_order_tolerance: float = 0.02
+
+
+MACHINE_THRESHOLDS = Thresholds()
+
+
+def strike_entries(model: Model, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS) -> list[Entry]:
+    """Candidates for a defect of the bearing, clearest first: significant strike trains at a kinematic order.
+
+    Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft.
+    """
+    out = []
+    for train in machine.strikes:
+        named = train.name != NO_KINEMATIC_NAME or model.bearing is None
+        if train.p_value <= limits.max_p_value and named and not is_whole_order(train, limits):
+            out.append(_strike_entry(model, machine, train))
+    return out
+
+
+def is_whole_order(train: StrikeTrain, limits: Thresholds = MACHINE_THRESHOLDS) -> bool:
+    """Whether impacts repeat a whole number of times per turn."""
+    if train.order is None or train.name != NO_KINEMATIC_NAME:
+        return False
+    return abs(train.order - round(train.order)) <= limits.whole_order_tolerance and round(train.order) > 0
+
+
+def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> Entry:
+    """The entry of a strike train; its order where the speed is known."""
+    place = _place(model, train.channel)
+    parameters = {}
+    if train.order is not None:
+        speed = machine.speed
+        sd = None if speed is None else train.order * speed.sd_rpm / speed.value_rpm
+        parameters[f"{place}.{LOCAL_DEFECT.name}.order"] = Parameter(train.order, sd, "1")
+    return _entry(LOCAL_DEFECT.name, place, train.p_value, parameters)
+
+
+def shaft_entries(
+    model: Model, record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
+) -> list[Entry]:
+    """Imbalance or misalignment, where the first two harmonics of the shaft dominate a vibration that is too large."""
+    best: tuple[float, str, float] | None = None
+    for channel in model.channels:
+        first, second = (_harmonic(machine, k) for k in (1, 2))
+        v1, v2 = (0.0 if tone is None else velocity_rms(tone, channel.name) for tone in (first, second))
+        v = float(np.hypot(v1, v2))
+        summary = record.channels.get(channel.name)
+        whole = None if summary is None else summary.velocity_rms_mm_s
+        dominant = whole is None or v**2 >= limits.min_dominance * (1e-3 * whole) ** 2
+        if v >= limits.min_velocity_m_s and dominant and (best is None or v > best[0]):
+            ratio = v2 / v1 if v1 else np.inf
+            name = MISALIGNMENT.name if ratio >= limits.min_second_harmonic_ratio else IMBALANCE.name
+            p = min(tone.p_value for tone in (first, second) if tone is not None)
+            best = v, channel.name, p
+            entry = _entry(name, _place(model, channel.name), p, {})
+    return [] if best is None else [entry]
+
+
+def line_entries(
+    model: Model, record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
+) -> list[Entry]:
+    """Lines that hold a large share of the power of a channel, the largest first. 1X and 2X are of every shaft."""
+    shares = [
+        (amplitude**2 / 2.0 / rms**2, tone, name)
+        for tone in machine.tones
+        if tone.order not in (1.0, 2.0) or tone.kind != "order"
+        for name, amplitude in tone.amplitude.items()
+        if name in record.channels and (rms := record.channels[name].rms)
+    ]
+    large = sorted((s for s in shares if s[0] >= limits.min_line_power_share), key=lambda s: -s[0])[:1]
+    out = []
+    for _, tone, name in large:
+        place = _place(model, name)
+        parameters = {f"{place}.{LINE.name}.frequency": Parameter(tone.frequency_hz, None, "Hz")}
+        out.append(_entry(LINE.name, place, tone.p_value, parameters))
+    return out
+
+
+def whole_order_messages(machine: MachineSurvey) -> Iterator[Message]:
+    """Remarks on impacts that repeat with the shaft: no defect of a bearing does."""
+    for train in machine.strikes:
+        if is_whole_order(train) and train.order is not None:
+            k = round(train.order)
+            text = (
+                f"impacts in {train.channel} repeat {k} times per turn: a whole multiple of the shaft is no defect of "
+                "a bearing; look for looseness, a rub, the coupling or a gear"
+            )
+            yield Message("strikes_at_shaft_order", text)
+
+
+def velocity_rms(tone: Tone, channel: str) -> float:
+    """Velocity rms of a tone in a channel, m/s; 0 where the channel measures no motion or does not show it."""
+    if tone.unit not in INTEGRATIONS:
+        return 0.0
+    omega = 2.0 * np.pi * tone.frequency_hz
+    return float(tone.amplitude.get(channel, 0.0) / omega ** INTEGRATIONS[tone.unit] / np.sqrt(2.0))
+
+
+def _harmonic(machine: MachineSurvey, order: int) -> Tone | None:
+    return next((t for t in machine.tones if t.kind == "order" and t.order == order), None)
+
+
+def _place(model: Model, channel: str) -> str:
+    return next(c.place for c in model.channels if c.name == channel)
+
+
+def _entry(effect: str, place: str, p_value: float, parameters: dict[str, Parameter]) -> Entry:
+    """An entry of the ranking. Its force is unknown without a model of the bearing: no share of it is given."""
+    nats = -float(np.log(max(p_value, MIN_P_VALUE)))
+    return Entry(
+        effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value, before_percent=0.0,
+        after_percent=0.0, parameters=parameters, score=nats,
+    )  # fmt: skip
