@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.effects import CATALOGUE
+from estimator.errors import DataError
 from estimator.results import NOT_JUDGED
 
 if TYPE_CHECKING:
@@ -18,12 +20,16 @@ if TYPE_CHECKING:
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import ladder_table, number
 from daq.base.contract.errors import ConfigError
+from daq.exchange.measurement import Measurement
+from daq.report.layers import lines as layer_lines
+from daq.report.signal_spectra import signal_spectra
 from daq.report.words import message_text
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig
 
 from .analyse import IN_USE, Pages, about, compared, given, origin, step
 
+REASON_CODES = (NOT_JUDGED, "bearing_not_judged")  # said with the layers
 _OUTSIDE_CATALOGUE = "the catalogue does not hold; type a law of your own into the rig file"
 _NO_LAW = "is not a law of a bearing: see the notes, and correct what they name first"
 BELOW_DETECTION = (
@@ -40,15 +46,39 @@ def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun
     with output.progress("diagnosing") as progress, about(log, data):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     if pages:
-        now = compared(output, rig, data)
-        better = with_verdict(rig, value)
-        if better is None:
-            pages.write(rig, data, comparison=now, diagnoses=[value])
-        else:
-            after = compared(output, better, data)
-            ladder = [step(rig, now), step(better, after)]
-            pages.write(better, data, comparison=after, before=now, diagnoses=[value], ladder=ladder)
-    output.result(value | origin(log, rig_path, rig, data), *diagnosis_text(value), *pages.said())
+        _write_pages(output, pages, rig, data, value)
+    units = dict(zip((c.name for c in rig.model.channels), rig.si_units, strict=True))
+    people = [*layers_text(value, units), *diagnosis_text(value), *pages.said()]
+    output.result(value | origin(log, rig_path, rig, data), *people)
+
+
+def _write_pages(output: Output, pages: Pages, rig: Rig, data: Measurement, value: Mapping[str, Any]) -> None:
+    """The pictures of a diagnosis; of the model only where the bearings are judged."""
+    parts: dict[str, Any] = {"diagnoses": [value], "signal": signal_spectra(rig.model, data.y, data.rate_hz, value)}
+    if not value["bearing"]["judged"]:
+        pages.write(rig, data, **parts)
+        return
+    now = compared(output, rig, data)
+    better = with_verdict(rig, value)
+    try:
+        after = None if better is None else compared(output, better, data)
+    except DataError:  # the verdict is of the signal, and no model of the bearings
+        after = None
+    if better is None or after is None:
+        pages.write(rig, data, comparison=now, **parts)
+    else:
+        ladder = [step(rig, now), step(better, after)]
+        pages.write(better, data, comparison=after, before=now, ladder=ladder, **parts)
+
+
+def layers_text(value: Mapping[str, Any], units: Mapping[str, str]) -> list[Any]:
+    """The layers of a diagnosis for people. units : channel -> SI unit."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, line in layer_lines(value, units):
+        table.add_row(name, Text(line))
+    return [table, ""]
 
 
 def with_verdict(rig: Rig, diagnosis: Mapping[str, Any]) -> Rig | None:
@@ -81,16 +111,19 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         table.add_column(Text(heading), overflow="fold")
     for row in value["ranking"][:most]:
         before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]
+        missing = f"{before:.2f} -> {after:.2f}" if before or after else ""  # of a tone or strikes it is unknown
         parameters = ", ".join(
             f"{k} {number(p['value'], p['sd'])} {p['unit']}" for k, p in row["parameters"].items() if p["identifiable"]
         )
         seen = row.get("detectable_from")
         limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""
         cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", _p(row["p_value"]),
-                 f"{before:.2f} -> {after:.2f}", parameters, limit)  # fmt: skip
+                 missing, parameters, limit)  # fmt: skip
         table.add_row(*(Text(c) for c in cells))
     people: list[Any] = [table, ""] if value["ranking"] else []
-    people += [f"note: {message}" for message in value.get("messages", ())]
+    shown = {finding["text"] for finding in value.get("record", {}).get("findings", ())}
+    coded = zip(value.get("messages", ()), value.get("message_codes", repeat("")), strict=False)
+    people += [f"note: {text}" for text, code in coded if text not in shown and code not in REASON_CODES]
     if value["verdict"] == "complete" and any("detectable_from" in row for row in value["ranking"]):
         people.append(BELOW_DETECTION)
     if value["verdict"] == "unknown" and value.get("shape"):
@@ -104,7 +137,13 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         "complete": "the model is complete: nothing in the catalogue earns its place",
         "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
     }.get(name, f"missing: {name}; {known}")
-    return [*people, f"verdict: {name}", message_text(value, {NOT_JUDGED}) or verdict]
+    return [*people, f"verdict: {name}", _not_judged(value) or verdict]
+
+
+def _not_judged(value: Mapping[str, Any]) -> str:
+    """Why nothing is named, where the bearings are not judged; else ""."""
+    why = message_text(value, {NOT_JUDGED})
+    return f"channels, tones and strikes show no fault, and {why}" if why else ""
 
 
 def _p(value: float) -> str:

@@ -53,7 +53,8 @@ def _machine(machine: Json, units: Mapping[str, str]) -> Iterator[str]:
     tones = machine["tones"]
     more = f"; and {len(tones) - MAX_TONES} others" if len(tones) > MAX_TONES else ""
     yield ("tones: " + "; ".join(map(tone_text, tones[:MAX_TONES])) + more) if tones else "no tones"
-    yield from _first([strike_text(train) for train in machine["strikes"]] or ["no strike train"], MAX_STRIKES, "trains")
+    trains = [strike_text(train) for train in machine["strikes"]]
+    yield from _first(trains or ["no strike train"], MAX_STRIKES, "trains")
 
 
 def tone_name(tone: Json) -> str:
@@ -80,7 +81,8 @@ def strike_text(train: Json) -> str:
         where = f"order {train['order']:.4g}"
         if train["slip_percent"] is not None:
             where += f" (slip {train['slip_percent']:+.2g} %)"
-    return f"{name}: {where}, clearest in {train['channel']}, p {odds(train['p_value'])}, severity {train['severity']:.2g}"
+    how = f"p {odds(train['p_value'])}, severity {train['severity']:.2g}"
+    return f"{name}: {where}, clearest in {train['channel']}, {how}"
 
 
 def _structure(structure: Json, units: Mapping[str, str]) -> Iterator[str]:

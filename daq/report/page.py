@@ -11,6 +11,9 @@ comparison
     densities : {channel: {at, measured, model}}, of the displacement in m, 1/m
     orbits : {bearing: {measured: [x, y], model: [x, y]}}, displacements in m
     parameters : as in `fit`; messages : [text]
+signal
+    spectra : {channel: {frequency_hz, psd, unit, marks: [[Hz, label]]}}, measured; envelopes : the squared envelope in
+        `band_hz`, its PSD with marks at the defect frequencies; modes : as in a diagnosis
 diagnosis
     shape : with band_low, band_high; separates : text, what tells the verdict from the runner-up; messages : [text]
 """
@@ -28,7 +31,9 @@ from daq.base.contract.errors import LogError
 
 from . import curves as curves
 from . import figures as figures
+from . import layers as layers
 from . import numbers as numbers
+from . import signal_figures as signal_figures
 from . import words as words
 
 Json = Mapping[str, Any]
@@ -51,6 +56,7 @@ def render(
     facts: Mapping[str, str] = NO_RESULT,
     comparison: Json | None = None,
     before: Json | None = None,
+    signal: Json = NO_RESULT,
     diagnoses: Sequence[Json] = (),
     ladder: Sequence[Json] = (),
     notes: Sequence[str] = (),
@@ -58,9 +64,9 @@ def render(
 ) -> str:
     """The page as text.
 
-    comparison : of the model as it is now; before : of the model before anything was added; diagnoses : of every model
-    of the ladder, in order; notes : what the improvement said; facts : log, rig, length of the record ... as the head
-    of the page shows them.
+    signal : measured spectra; comparison : of the model as it is now, None where no model of the bearings is judged;
+    before : of the model before anything was added; diagnoses : of every model of the ladder, in order; notes : what
+    the improvement said; facts : log, rig, length of the record ... as the head of the page shows them.
     """
     from jinja2 import Environment, StrictUndefined
 
@@ -82,7 +88,8 @@ def render(
         title=title,
         facts=dict(facts) | {"made by": f"rotorscope {version()}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"},
         summary=words.summary(comparison, diagnoses, ladder),
-        pictures=pictures(now, old, ladder, before is not None),
+        pictures=pictures(now, old, ladder, before is not None) | signal_figures.pictures(signal),
+        layers=layers.lines(diagnoses[0], measured_units(signal)) if diagnoses else [],
         comparison=comparison,
         where=words.regions(before, comparison),
         findings=[finding(d, k, len(diagnoses), ladder) for k, d in enumerate(diagnoses)],
@@ -104,6 +111,11 @@ def pictures(now: Json, old: Json, ladder: Sequence[Json], two: bool) -> dict[st
         "densities": figures.densities(now.get("densities", {}), old.get("densities", {}), now.get("pdf_distance", {})),
         "orbits": figures.orbits(now.get("orbits", {})),
     }
+
+
+def measured_units(signal: Json) -> dict[str, str]:
+    """Channel -> SI unit of those with a measured spectrum."""
+    return {name: s["unit"] for name, s in signal.get("spectra", {}).items()}
 
 
 def looked_at(*comparisons: Json) -> list[str]:

@@ -1,6 +1,6 @@
 """A rig as frozen data in SI units, and the linear algebra and bearing theory that follow from it."""
 
-from .bearing_theory import Theory, taylor, theory
+from .bearing_theory import Theory, kinematics, taylor, theory
 from .effect import Effect, EffectParameter
 from .rig import DIRECTIONS, MOTION, NODES, UNITS, BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting, Shaft
 
@@ -19,6 +19,7 @@ __all__ = [
     "Shaft",
     "Theory",
     "UNITS",
+    "kinematics",
     "taylor",
     "theory",
 ]

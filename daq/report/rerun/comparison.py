@@ -39,14 +39,16 @@ class Picture(NamedTuple):
 
 def log_comparison(
     target: str,
-    comparison: Json,
+    comparison: Json | None = None,
     before: Json | None = None,
     diagnoses: Sequence[Json] = (),
     ladder: Sequence[Json] = (),
     title: str = "comparison",
     notes: Sequence[str] = (),
+    signal: Json | None = None,
 ) -> None:
-    """Show the comparison with its layout. target : an .rrd file, "spawn" or a viewer's URL (viewer_target); before :
+    """Show the comparison with its layout. comparison : None where no model of the bearings is judged; signal :
+    measured spectra; target : an .rrd file, "spawn" or a viewer's URL (viewer_target); before :
     of the model before anything was added. Raises LinkError if there is no viewer at the URL."""
     import rerun as rr
 
@@ -55,7 +57,7 @@ def log_comparison(
     rr.set_log_time_enabled(False, recording=recording)
     rr.set_log_tick_enabled(False, recording=recording)
     recording.send_recording_name(title)
-    steps = [before, comparison] if before is not None else [comparison]
+    steps = [step for step in (before, comparison) if step is not None]
     drawn: dict[str, str] = {}
     for k in range(len(steps)):
         recording.set_time(STEP_TIMELINE, sequence=k)
@@ -64,7 +66,7 @@ def log_comparison(
             for name, drawing in picture.frame.frame():
                 recording.log(f"{entity}/{name}", drawing)
             recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
-    for entity, picture in unknown(diagnoses).items():
+    for entity, picture in (unknown(diagnoses) | measured(signal or {})).items():
         drawn[entity] = picture.title
         for name, drawing in picture.frame.frame():
             recording.log(f"{entity}/{name}", drawing, static=True)
@@ -204,6 +206,27 @@ def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     return found
 
 
+def measured(signal: Json) -> dict[str, Picture]:
+    """Measured spectra, and those of the squared envelope, by channel; the marks are lines over the whole height."""
+    found: dict[str, Picture] = {}
+    for kind, title, log in (("spectra", "measured", True), ("envelopes", "squared envelope", False)):
+        for channel, s in signal.get(kind, {}).items():
+            f, psd = floats(s["frequency_hz"]), floats(s["psd"])
+            y = plane.Axis(*plane.decades(psd), "PSD", log=True)
+            x = plane.Axis(float(f.min()), float(f.max()), "frequency, Hz", log=log)
+            lines: list[Series] = [
+                (np.array([hz, hz]), np.array([y.low, y.high]), DARK_COLOUR)
+                for hz, _ in s["marks"]
+                if x.low <= hz <= x.high
+            ]
+            named = ", ".join(label for _, label in s["marks"])
+            heading = f"{channel}, {title}" + (f": {named}" if named else "")
+            found[f"signal/{kind}_{part(channel)}"] = Picture(
+                plane.Plane(x, y), [*lines, (f, psd, MEASURED_COLOUR)], heading
+            )
+    return found
+
+
 def densities(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     found: dict[str, Picture] = {}
     for channel, d in steps[now].get("densities", {}).items():
@@ -253,6 +276,7 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
     kinds = {
+        "signal": "Measured",
         "law": "Law",
         "residual": "Residual force",
         "unknown": "Unknown",

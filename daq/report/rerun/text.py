@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from daq.report import layers as layers
 from daq.report import words as words
 from daq.report.figures import model_name
 from daq.report.numbers import fixed, number, odds, parameter, percent
@@ -14,7 +15,7 @@ Json = Mapping[str, Any]
 
 
 def documents(
-    title: str, comparison: Json, before: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json],
+    title: str, comparison: Json | None, before: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json],
     notes: Sequence[str],
 ) -> dict[str, str]:  # fmt: skip
     """Heading -> Markdown, in the order of the tabs."""
@@ -25,16 +26,18 @@ def documents(
         ]
         heads = ("model", "channel", "against", "region", "share of the missing force")
         out["Map"] = "# Where the model fails\n\n" + table(heads, cells)
+    if diagnoses and (rows_of_layers := layers.lines(diagnoses[0], {})):
+        out["Layers"] = "# What the record shows\n\n" + table(("layer", ""), rows_of_layers)
     if diagnoses:
         out["Diagnosis"] = "\n\n".join(diagnosed(d) for d in diagnoses)
-    if values := comparison.get("parameters"):
+    if values := (comparison or {}).get("parameters"):
         pairs = [(name, parameter(p)) for name, p in values.items()]
         out["Parameters"] = "# Parameters\n\n" + table(("parameter", "value and 95 % interval"), pairs)
     return out
 
 
 def summary(
-    title: str, comparison: Json, diagnoses: Sequence[Json], ladder: Sequence[Json], notes: Sequence[str]
+    title: str, comparison: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json], notes: Sequence[str]
 ) -> str:
     lines = [f"# {title}", *words.summary(comparison, diagnoses, ladder), *notes]
     if ladder:
