@@ -53,7 +53,8 @@ def test_the_layers_are_a_few_lines_in_their_order(diagnosis: dict[str, Any]) ->
     text = "\n".join(line for _, line in told)
     for words in (
         "rms 1.36 m/s²", "de spikes", "1796 ± 0.6 rpm", "1X 29.9 Hz", "mains 100 Hz", "and 15 others",
-        "BPFO strikes: order 3.585 (slip +0.1 %)", "3000 ± 9.0 Hz (damping 2 %)", "cannot be judged here: several modes",
+        "BPFO strikes: order 3.585 (slip +0.1 %)", "3000 ± 9.0 Hz (damping 2 %)",
+        "cannot be judged here: several modes",
     ):  # fmt: skip
         assert words in text, text
 
