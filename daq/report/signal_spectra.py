@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Mark = tuple[float, str]  # Hz, label
 MAX_SEGMENT = 1 << 17  # rows of a segment of an envelope: lines of a defect are narrow
 MIN_SEGMENT = 256
-AVERAGES = 8  # of a spectrum, where the record is long enough
+MIN_AVERAGES = 8  # of a spectrum, where the record is long enough
 MIN_AXIS_HZ = 1.0
 MAX_POINTS = 1500  # drawn of a spectrum
 MAX_MARKS = 12  # labels that can be read
@@ -93,7 +93,7 @@ def finite_pieces(y: Array) -> list[Array]:
 
 def halved(pieces: Sequence[Array]) -> Sequence[Array]:
     """Pieces cut in halves until there are enough to average, but not shorter than 8192 rows."""
-    while len(pieces) < AVERAGES and len(pieces[0]) >= 2 * 8192:
+    while len(pieces) < MIN_AVERAGES and len(pieces[0]) >= 2 * 8192:
         half = len(pieces[0]) // 2
         pieces = [part for piece in pieces for part in (piece[:half], piece[half : 2 * half])]
     return pieces

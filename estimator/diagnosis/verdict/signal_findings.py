@@ -19,7 +19,7 @@ from estimator.results import Message, Parameter
 
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
-INTEGRATIONS = {MOTION["acceleration"]: 1, MOTION["velocity"]: 0, MOTION["displacement"]: -1}  # to velocity, by unit
+INTEGRATIONS_TO_VELOCITY = {MOTION["acceleration"]: 1, MOTION["velocity"]: 0, MOTION["displacement"]: -1}  # by unit
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -141,10 +141,10 @@ def whole_order_messages(machine: MachineSurvey) -> Iterator[Message]:
 
 def velocity_rms(tone: Tone, channel: str) -> float:
     """Velocity rms of a tone in a channel, m/s; 0 where the channel measures no motion or does not show it."""
-    if tone.unit not in INTEGRATIONS:
+    if tone.unit not in INTEGRATIONS_TO_VELOCITY:
         return 0.0
     omega = 2.0 * np.pi * tone.frequency_hz
-    return float(tone.amplitude.get(channel, 0.0) / omega ** INTEGRATIONS[tone.unit] / np.sqrt(2.0))
+    return float(tone.amplitude.get(channel, 0.0) / omega ** INTEGRATIONS_TO_VELOCITY[tone.unit] / np.sqrt(2.0))
 
 
 def _harmonic(machine: MachineSurvey, order: int) -> Tone | None:
