@@ -26,7 +26,6 @@ INSIDE = {
     "estimator/diagnosis/verdict/test_gate_second_law.py": (1, LEAVES),
     "estimator/diagnosis/verdict/test_improvement.py": (1, "the roll-off search leaves"),
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
-    "estimator/identification/structure/test_filter_search.py": (1, LEAVES),
     "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
     "estimator/likelihood/motion/test_memory_law.py": (1, LEAVES),
     "estimator/signals/test_band_limited_record.py": (1, LEAVES),

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.base.contract.errors import ConfigError
 from estimator.effects import NAMED
-from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model import MOTION, NODES, AntiAlias, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
@@ -239,6 +239,10 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
     if band is not None and acquisition is not None and band.high >= acquisition.rate_hz / 2:
         text = f"{band.high:g} Hz is not below half of acquisition.rate_hz = {acquisition.rate_hz:g} Hz; lower it"
         problems.append(Problem(("band", "high"), text))
+    filtered = None if acquisition is None else acquisition.anti_alias
+    if filtered is not None and filtered.kind == "fir" and filtered.cutoff_hz >= parts["acquisition"].rate_hz / 2:
+        text = f"{filtered.cutoff_hz:g} Hz is not below half of acquisition.rate_hz, at which a fir filter works"
+        problems.append(Problem(("acquisition", "anti_alias", "cutoff_hz"), text))
     link: LinkTable | None = parts.get("link")
     for name in link.signals if link and channels else ():
         if name not in (names := [c.name for c in channels]):
@@ -265,6 +269,7 @@ def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, 
         ball_pass_order=rig.ball_pass_order,
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
+        anti_alias=_anti_alias(file.acquisition),
     )
     effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
@@ -297,6 +302,13 @@ def _masses(file: RigFile) -> dict[str, float]:
         else:
             out |= {f"{node}.{d}": m for d, m in (("x", cap.x), ("y", cap.y)) if m is not None}
     return out
+
+
+def _anti_alias(table: AcquisitionTable | None) -> AntiAlias | None:
+    own = None if table is None else table.anti_alias
+    if own is None:
+        return None
+    return AntiAlias(kind=own.kind, order=own.order, cutoff_hz=own.cutoff_hz, ripple_db=own.ripple_db)
 
 
 def _bearing(table: BearingTable | None) -> BearingGeometry | None:

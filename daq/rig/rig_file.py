@@ -22,6 +22,7 @@ from .units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical, factor, foreign, sen
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Node = Literal["bearing1", "bearing2"]
+MAX_ANALOGUE_ORDER = 20  # poles of an analogue filter: beyond them the design itself loses its digits
 
 
 class Table(BaseModel):
@@ -184,12 +185,33 @@ class BandTable(Table):
         return value
 
 
+class AntiAliasTable(Table):
+    """The recorder's anti-alias filter, undone in every analysis.
+
+    cutoff_hz : 3 dB down; end of the ripples of chebyshev1; start of the stop band of chebyshev2; 6 dB down of fir.
+    ripple_db : of chebyshev1 the ripple (0.5), of chebyshev2 the loss in the stop band (60).
+    """
+
+    kind: Literal["butterworth", "bessel", "chebyshev1", "chebyshev2", "fir"]
+    order: Annotated[int, Field(ge=1, le=1024, description="poles; of fir the number of taps less one")]
+    cutoff_hz: Positive
+    ripple_db: Positive | None = None
+
+    @field_validator("order")
+    @classmethod
+    def stable(cls, value: int, info: ValidationInfo) -> int:
+        if value > MAX_ANALOGUE_ORDER and info.data.get("kind") != "fir":
+            raise ValueError(f"{value}: an analogue filter has at most {MAX_ANALOGUE_ORDER} poles")
+        return value
+
+
 class AcquisitionTable(Table):
     """What the device is expected to send, and what a simulated one does (full_scale, noise: unit of the channels)."""
 
     rate_hz: Positive
     full_scale: Positive | None = None
     noise: NotNegative = 0.0
+    anti_alias: AntiAliasTable | None = None
 
 
 class EstimatorTable(Table):

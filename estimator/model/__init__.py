@@ -2,9 +2,11 @@
 
 from .bearing_theory import Theory, kinematics, taylor, theory
 from .effect import Effect, EffectParameter
+from .recorder import AntiAlias
 from .rig import DIRECTIONS, MOTION, NODES, UNITS, BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting, Shaft
 
 __all__ = [
+    "AntiAlias",
     "BearingGeometry",
     "Channel",
     "CustomLaw",

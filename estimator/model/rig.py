@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from .effect import Effect
-from .recorder import RollOff
+from .recorder import AntiAlias
 
 Shaft = Literal["chain", "beam", "none"]
 NODES = ("bearing1", "bearing2")
@@ -176,8 +176,8 @@ class Model:
         Laws of the user that are not in the model, but on trial when it is diagnosed.
     name : str
         Of the rig, for the user.
-    roll_off : RollOff or None
-        By location, the anti-alias filter found in the record. None: no filter known.
+    anti_alias : AntiAlias or None
+        The recorder's anti-alias filter, undone in all channels of motion and force. None: no filter known.
     """
 
     channels: tuple[Channel, ...]
@@ -194,7 +194,7 @@ class Model:
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
     name: str = ""
-    roll_off: RollOff | None = None
+    anti_alias: AntiAlias | None = None
 
     @property
     def places(self) -> tuple[str, ...]:

@@ -120,12 +120,18 @@ def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
 
 
-def _taps(response: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], half: int) -> Array:
-    """(2 half + 1,) taps of H(f) * response(f), middle tap at index half; within 3e-5 of it in the band."""
+def _taps(
+    response: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], half: int,
+    undone: Callable[[Array], Complexes] | None = None,
+) -> Array:  # fmt: skip
+    """(2 half + 1,) taps of H(f) response(f) / undone(f), middle tap at index half; within 3e-5 of it in the band."""
     f = _frequencies(half, rate_hz)
     gain = passband(f, rate_hz, band)
     wanted = np.zeros(f.size, complex)
-    wanted[gain > 1e-14] = gain[gain > 1e-14] * response(f[gain > 1e-14])
+    inside = gain > 1e-14
+    wanted[inside] = gain[inside] * response(f[inside])
+    if undone is not None:
+        wanted[inside] /= undone(f[inside])
     return _nearest(wanted, half)
 
 
@@ -216,6 +222,7 @@ class BandLimit:
     kinds : of each channel: acceleration, velocity, displacement or force.
     extra : response(f_hz) from displacement to one more output, `Motion.u` (the shaft's reaction, for instance).
     slow : whether `Motion.slow` is asked for.
+    undone : response(f_hz) of the recorder, measured over true, that is undone in every output. None: 1.
     """
 
     def __init__(
@@ -225,6 +232,7 @@ class BandLimit:
         band: tuple[float, float],
         extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
+        undone: Callable[[Array], Complexes] | None = None,
     ) -> None:
         self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
         self.half = half_length(rate_hz, band) * (1 if extra is None else RESONANT_FILTER_LENGTHS)
@@ -241,7 +249,7 @@ class BandLimit:
             if held is not None and kind != "force":
                 p = _POWERS_OF_IW[kind][2]
                 responses.append(lambda f, p=p: (2j * np.pi * f) ** float(p) * held(f))  # type: ignore[misc]
-            taps = np.array([_taps(r, rate_hz, band, self.half) for r in responses])
+            taps = np.array([_taps(r, rate_hz, band, self.half, undone) for r in responses])
             if slow and kind == "displacement":
                 taps = np.vstack([taps, _slow_taps(rate_hz, band, self.half)])
             self._filters[kind] = np.fft.rfft(taps, self._size, axis=1)
@@ -332,9 +340,10 @@ def band_limit(
     rate_hz: float,
     band: tuple[float, float],
     extra: Callable[[Array], Complexes] | None = None,
+    undone: Callable[[Array], Complexes] | None = None,
 ) -> BandLimitedMotion:
     """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
-    stream = BandLimit(kinds, rate_hz, band, extra)
+    stream = BandLimit(kinds, rate_hz, band, extra, undone=undone)
     parts = [stream.push(y), stream.flush()]
     valid = np.concatenate([p.valid for p in parts])
     a, v, x, u = (

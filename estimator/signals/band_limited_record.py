@@ -30,8 +30,9 @@ class BandLimitedRecord(BandLimit):
         band: tuple[float, float],
         extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
+        undone: Callable[[Array], Complexes] | None = None,
     ) -> None:
-        super().__init__(kinds, rate_hz, band, extra, slow)
+        super().__init__(kinds, rate_hz, band, extra, slow, undone)
         self._y = y
         missing = np.concatenate([[0], np.cumsum(~np.isfinite(y).all(axis=1))])
         self.valid: NDArray[np.bool_] = np.zeros(len(y), bool)

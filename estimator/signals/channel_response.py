@@ -1,24 +1,21 @@
-"""Responses of sensors and of the recorder's filter, measured over true by frequency, and their correction.
+"""Responses of sensors, measured over true by frequency, and their correction.
 
 The responses that the model knows are undone in the record before anything is fitted. A gain and a delay are
 identifiable together with a measured force only; otherwise they are undone as the rig file gives them. A sensor
 resonance is found as a spectral shape of the excitation and undone with its phase, as the phase matters on a stiff
-shaft.
+shaft. The recorder's filter is undone by the band limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
-from estimator.model.recorder import Filter, images
 from estimator.model.rig import MOTION, EffectUse, Model
 from estimator.parallel import map_threads
-
-from .band_limit import to_acceleration
 
 # sensor faults that are a linear response
 RESPONSE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.channel_response is not None)
@@ -27,7 +24,6 @@ GAIN_AND_DELAY = tuple(n for n in RESPONSE_EFFECTS if CATALOGUE[n].flat_magnitud
 SHAPE_PARAMETERS = {
     name: tuple(q.name for q in e.parameters) for name, e in CATALOGUE.items() if e.spectral_factor is not None
 }
-FILTER_GRID_POINTS = 8192  # of a filter's response, linear between: error 1e-6
 
 
 def measured_force_places(model: Model) -> frozenset[str]:
@@ -44,43 +40,13 @@ def fault_response(name: str, values: Mapping[str, float | None], w: Array) -> C
     return np.asarray(effect.channel_response(w, p))
 
 
-def channel_response(model: Model, place: str, w: Array) -> Complexes:
-    """(f,) response that is undone in the motion channel at a place, at w (f,) rad/s.
+def anti_alias_response(model: Model, rate_hz: float) -> Callable[[Array], Complexes] | None:
+    """The response (f,) at f (f,) Hz of the recorder's filter that the rig file gives; None without one.
 
-    It has the sensor faults of the model and, up to the upper band edge, the recorder's filter.
+    Beyond the upper band edge the response is that at the edge, as nothing is known there.
     """
-    out = _faults(model, place, w)
-    own = anti_alias_filter(model, place)
-    return out if own is None else out * own.response(np.minimum(w / (2 * np.pi), model.band[1]))
-
-
-def anti_alias_filter(model: Model, place: str) -> Filter | None:
-    """The recorder's filter that is undone at a place, in the channels of motion and of force; None without."""
-    return (model.roll_off or {}).get(place)
-
-
-def folded_images(model: Model, place: str, kind: str, f_hz: Array) -> Array:
-    """(images, f) PSD of the acceleration aliased from each image at a place, over that of a free mass, corrected."""
-    own = anti_alias_filter(model, place)
-    if own is None or own.nepers:
-        return np.zeros((0, f_hz.size))
-    heard = np.abs(_faults(model, place, 2 * np.pi * images(own.rate_hz, f_hz))) ** 2
-    return np.asarray(own.echoes(f_hz, kind) * heard / np.abs(channel_response(model, place, 2 * np.pi * f_hz)) ** 2)
-
-
-def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> Complexes:
-    """(2, f) response of the corrected sensor to acceleration aliased to f from below and from beyond the rate.
-
-    The first is conjugate, as its frequency axis is reversed; a velocity sensor has -w / w' and w / w''.
-    """
-    kind = next(c.kind for c in model.channels if c.place == place and c.kind in MOTION)
-
-    def through(f_hz: Array) -> Complexes:
-        w = 2 * np.pi * f_hz
-        return _faults(model, place, w) / to_acceleration([kind], w)[:, 0]
-
-    below, beyond = (through(rate_hz + side * f_hz) for side in (-1, 1))
-    return np.asarray(np.stack([below.conj(), beyond]) / through(f_hz))
+    own = model.anti_alias
+    return None if own is None else lambda f_hz: own.response(np.minimum(f_hz, model.band[1]), rate_hz)
 
 
 def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
@@ -90,8 +56,8 @@ def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] |
     return (a, b) if a and b else None
 
 
-def _faults(model: Model, place: str, w: Array) -> Complexes:
-    """(f,) response of the sensor faults at a place, at w (f,) rad/s."""
+def channel_response(model: Model, place: str, w: Array) -> Complexes:
+    """(f,) response that is undone in the motion channel at a place, at w (f,) rad/s: its sensor's faults."""
     out = np.ones(w.shape, complex)
     for use in model.effects:
         if use.name not in RESPONSE_EFFECTS:
@@ -108,27 +74,26 @@ def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None
 
 
 def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:
-    """The record (n, channels), SI, with the channel responses that the model knows undone."""
-    if not model.roll_off and not any(use.name in RESPONSE_EFFECTS for use in model.effects):
+    """The record (n, channels), SI, with the sensor faults that the model knows undone."""
+    faulty = [k for k, c in enumerate(model.channels) if c.kind in MOTION and _has_fault(model, c.place)]
+    if not faulty:
         return y
-    f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
-    heard = [k for k, channel in enumerate(model.channels) if channel.kind in (*MOTION, "force")]
-    filters = {own for k in heard if (own := anti_alias_filter(model, model.channels[k].place)) is not None}
-    grid = np.linspace(0.0, model.band[1], FILTER_GRID_POINTS)
-    known = {own: np.interp(f, grid, own.response(grid)) for own in filters}
+    w: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
 
     def column(k: int) -> Array:
-        place, z = model.channels[k].place, y[:, k]
-        faulty = model.channels[k].kind in MOTION
-        H = _faults(model, place, 2 * np.pi * f) if faulty else np.ones(f.size, complex)
-        if (own := anti_alias_filter(model, place)) is not None:
-            H *= known[own]
+        H, z = channel_response(model, model.channels[k].place, w), y[:, k]
         if np.ptp(H) == 0.0:
             return np.asarray(z / float(H[0].real))
         gap = np.isnan(z)
         return np.where(gap, np.nan, np.fft.irfft(np.fft.rfft(np.where(gap, 0.0, z)) / H, len(z)))
 
     out = y.copy()
-    for k, z in zip(heard, map_threads(column, heard), strict=True):
+    for k, z in zip(faulty, map_threads(column, faulty), strict=True):
         out[:, k] = z
     return out
+
+
+def _has_fault(model: Model, place: str) -> bool:
+    """Whether the model has a sensor fault of known size at a place."""
+    uses = [use for use in model.effects if use.name in RESPONSE_EFFECTS]
+    return any(all(own.values()) for use in uses if (own := _numbers(use, model, place)))

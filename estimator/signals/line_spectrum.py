@@ -14,6 +14,7 @@ from estimator.model.rig import MOTION, Model
 from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
+from .channel_response import anti_alias_response
 from .shaft_angle import measured_phase
 
 NOISE_REACH_BINS, NOISE_STRIDE_BINS = 240, 4  # neighbours on either side for the local noise; step between them
@@ -79,13 +80,19 @@ class LineSpectrum:
     def _acceleration(self, total: Complexes, hz: float) -> tuple[Complexes, Array]:
         """(places,) amplitudes of acceleration and their noise from demodulated sums of the samples."""
         k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
-        derived = to_acceleration(self.kinds, 2 * np.pi * hz)
+        derived = to_acceleration(self.kinds, 2 * np.pi * hz) / self._recorded(np.array([hz]))[0]
         amplitude = 2 * total / (0.5 * (self.windowed.shape[1] - 1))
         return derived * amplitude, np.abs(derived) ** 2 * self.noise[:, k]
 
+    def _recorded(self, f_hz: Array) -> Complexes:
+        """(f,) response of the recorder's filter, measured over true; 1 where none is given."""
+        own = anti_alias_response(self.model, self.rate_hz)
+        return np.ones(f_hz.shape, complex) if own is None else own(f_hz)
+
     def accelerations(self, bins: slice | NDArray[np.intp]) -> Complexes:
         """(places, bins) amplitudes of acceleration of some bins."""
-        return np.asarray(to_acceleration(self.kinds, 2 * np.pi * self.f_hz[bins]).T * self.Y[:, bins])
+        f = self.f_hz[bins]
+        return np.asarray(to_acceleration(self.kinds, 2 * np.pi * f).T * self.Y[:, bins] / self._recorded(f))
 
     def about(self, hz: float) -> slice:
         """Bins that give the noise at a frequency."""

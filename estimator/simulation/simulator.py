@@ -1,8 +1,8 @@
 """A simulated rig: the samples of its sensors, deterministic by seed.
 
 The rotor is stepped `oversample` times per sample. Its motion passes a linear-phase anti-alias filter that is flat to
-0.45 of the rate, then the sensor effects of the model. Row k is the signal at t = k / rate_hz. Calls of any length give
-the same numbers: the work is done in blocks of fixed size.
+0.45 of the rate, then the sensor effects of the model and the anti-alias filter that the model names. Row k is the
+signal at t = k / rate_hz. Calls of any length give the same numbers: the work is done in blocks of fixed size.
 """
 
 from __future__ import annotations
@@ -146,7 +146,20 @@ class Simulator:
                 raise ModelError(f"effect {effect.name}: a sensor effect needs apply")
             rows = rows.copy()
             rows[:, channel] = effect.apply(rows[:, channel], self.rate_hz, p, rng)
-        return np.asarray(rows[MARGIN_SAMPLES : MARGIN_SAMPLES + BLOCK_SAMPLES])
+        return self._recorded(rows)[MARGIN_SAMPLES : MARGIN_SAMPLES + BLOCK_SAMPLES]
+
+    def _recorded(self, rows: Array) -> Array:
+        """The rows behind the recorder's anti-alias filter, without its delay; a tacho does not pass it."""
+        own, padded = self.model.anti_alias, [(MARGIN_SAMPLES, MARGIN_SAMPLES), (0, 0)]
+        if own is None:
+            return np.asarray(rows)
+        behind = [k for k, c in enumerate(self.model.channels) if c.kind != "tacho"]
+        whole = np.pad(rows[:, behind], padded, mode="reflect")
+        H = own.response(np.asarray(np.fft.rfftfreq(len(whole), 1.0 / self.rate_hz), dtype=np.float64), self.rate_hz)
+        out = rows.copy()
+        filtered = np.fft.irfft(np.fft.rfft(whole, axis=0) * H[:, None], len(whole), axis=0)
+        out[:, behind] = filtered[MARGIN_SAMPLES:-MARGIN_SAMPLES]
+        return out
 
     def _raw(self) -> Array:
         """(BLOCK_SAMPLES, channels) next rows before any sensor effect."""

@@ -17,6 +17,7 @@ from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, notches
 from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
 from estimator.signals.blocks import block_layout, block_spectra, valid_blocks
+from estimator.signals.channel_response import anti_alias_response
 
 OVERSAMPLE_FACTOR = 8
 SETTLE_DECAY_TIMES = 12.0  # decay times until the start from rest is forgotten
@@ -84,7 +85,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     start = max(int(first * len(y)) - lead, 0)
     used = [*motions, *(forces[i] for i in range(P))]
     kinds = [model.channels[c].kind for c in used]
-    measured = band_limit(y[start:, used], kinds, rate_hz, model.band)
+    measured = band_limit(y[start:, used], kinds, rate_hz, model.band, undone=anti_alias_response(model, rate_hz))
     force = np.where(measured.valid, measured.a[P:], 0.0)
     simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
     good = measured.valid & simulated.valid

@@ -14,7 +14,6 @@ from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.band_limit import noise_shape
-from estimator.signals.channel_response import anti_alias_filter, folded_images
 from estimator.simulation.simulator import simulate
 
 from .free_run import free_run
@@ -66,10 +65,6 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     for i, name in enumerate(names):
         f, measured = of_acceleration(data, i)
         model_psd = np.interp(f, *of_acceleration(own, i))
-        if (off := anti_alias_filter(model, data.places[i])) is not None:
-            measured, model_psd = measured * off.passed(f), model_psd * off.passed(f)  # as it was measured
-            folded = folded_images(model, data.places[i], data.kinds[i], np.maximum(f, data.band[0])).sum(axis=0)
-            model_psd = model_psd + folded * off.passed(f) * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
         noise = point.nu[i] * point.S[i] * noise_shape(data.kinds[i : i + 1], 2 * np.pi * f[inside])[0]

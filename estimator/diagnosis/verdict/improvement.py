@@ -18,7 +18,6 @@ from estimator.identification.finding import effect_use
 from estimator.identification.record import survey_record, usable_record
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_S, survey_with
 from estimator.identification.search import search
-from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -235,19 +234,17 @@ class _Ladder:
     def _with_law(self, best: Entry) -> FullFit | None:
         """The model with a law that was found; None where the law cannot be distinguished from zero.
 
-        Masses, shapes of spectra and the recorder's filter and delay were fitted without the law. They are fitted again
-        with it.
+        Masses and shapes of spectra were fitted without the law. They are fitted again with it.
         """
         given, model, point = self._given, self.whole.model, self.whole.point
         richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
         if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
             return None
         new = replace(self.whole, model=fitted_model(model, richer), point=richer)
-        taken = model.roll_off is not given.roll_off or recorder_fall.find_roll_off(new.model, richer)
         shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
-        if not (self.whole.masses or shaped or taken or recorder_phase.find_recorder_phase(new.model, richer)):
+        if not (self.whole.masses or shaped):
             return new
-        again = replace(new.model, mass=given.mass, roll_off=given.roll_off)
+        again = replace(new.model, mass=given.mass)
         del richer, new, point
         self._drop_rows()
         return _refitted(again, self._y, self._rate_hz)
@@ -256,15 +253,13 @@ class _Ladder:
         """The model with an effect that is no law of a state.
 
         Forces of time alone make products with the motion that look like a parametric stiffness: its order is sought
-        again. So is the recorder's filter where the effect shapes the spectra.
+        again.
         """
         given = self._given
         before = replace(
             fitted_model(self.whole.model, self.whole.point),
             ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
         )  # fmt: skip
-        if best.effect not in PERIODIC_EFFECTS:
-            before = replace(before, roll_off=given.roll_off)
         self._drop_rows()
         return refitted_with_found(before, given, best.settings, self._y, self._rate_hz)
 

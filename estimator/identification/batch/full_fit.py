@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import starmap
 
 import numpy as np
 
@@ -20,11 +19,10 @@ from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.search import search
 from estimator.identification.structure import (
     coupled_caps,
-    recorder_fall,
-    recorder_phase,
     spectral_models,
     spectral_shape,
     transfer_bias,
+    upper_edge,
 )
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
@@ -32,7 +30,6 @@ from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_s
 from estimator.likelihood.motion.prepare import prepare, shortening_messages
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model import recorder
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
@@ -48,7 +45,7 @@ from .disturbance_numbers import (
     with_resolved_parameters,
 )
 from .grid_start import fit_record
-from .linear_start import refuse_without_resonance, resonates
+from .linear_start import refuse_without_resonance
 
 SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     name
@@ -68,7 +65,6 @@ class FullFit:
     disturbances : parameters of the disturbances, by full name.
     messages : one line each, for the user.
     masses : cap masses that the rig file leaves out and the shaft gives, kg, by full name.
-    S_sd_rel : relative standard deviation of S by an anti-alias roll-off that is too weak to be found.
     """
 
     model: Model
@@ -76,14 +72,11 @@ class FullFit:
     disturbances: dict[str, Parameter]
     messages: tuple[Message, ...] = ()
     masses: dict[str, Parameter] = field(default_factory=dict)
-    S_sd_rel: float = 0.0
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
         found = fitted_parameters(self.point) | self.disturbances
-        roll_off_sd = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
-        found = recorder.doubted(roll_off_sd or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
         scaleless = unknown_mass.places_without_mass(self.model)
         return with_unidentifiable_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
@@ -128,50 +121,21 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     """
     given = with_measured_speed(model, y, rate_hz)
     model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
-    start = _coarse_fit(model, y, rate_hz)
-    off = (
-        recorder_fall.find_roll_off(model, start)
-        if start and all(starmap(resonates, _mean_oscillators(start).values()))
-        else None
-    )
-    if off and unknown_mass.places_scaled_by_shaft(given):  # their masses are to be found with the filter undone
-        return fit_all_effects(replace(given, roll_off=off), y, rate_hz)
-    if off and start:
-        start = start.without_rows()
-    full = _fit_with_stiffness_order(replace(model, roll_off=off) if off else model, y, rate_hz, start)
-    if not start and not model.roll_off and (off := recorder_fall.find_roll_off(full.model, full.point)):
-        start = full.point.without_rows()
-        del full  # two at once would be much memory
-        full = _fit_with_stiffness_order(replace(model, roll_off=off), y, rate_hz, start)
+    full = _fit_with_stiffness_order(model, y, rate_hz)
     _refuse_without_resonance(full.point)
-    if not model.roll_off and (late := recorder_phase.find_recorder_phase(full.model, full.point)):
-        start = full.point.without_rows()
-        del full
-        full = _fit_with_stiffness_order(replace(model, roll_off=late), y, rate_hz, start)
-    if full.model.roll_off != model.roll_off and unknown_mass.places_scaled_by_shaft(given):
-        return fit_all_effects(replace(given, roll_off=full.model.roll_off), y, rate_hz)
     data = full.point.data
-    S_sd_rel = 0.0 if full.model.roll_off else recorder_fall.level_doubt(full.model, full.point)
     notes = (
         *shortening_messages(data, y),
         *unknown_mass.mass_messages(masses),
         *unknown_mass.ratio_messages(full.model, full.point),
-        *recorder.recorder_messages(full.model.roll_off, data.places),
+        *upper_edge.upper_edge_messages(full.model, full.point),
         *excitation_level.uneven_message(data.level),
         *unmeasured_end.unmeasured_end_messages(
             full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))
         ),
         *shaft_law.comb_message(data, [use.effect for use in full.point.placed]),
     )
-    return replace(full, messages=(*notes, *full.messages), masses=masses, S_sd_rel=S_sd_rel)
-
-
-def _coarse_fit(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
-    """A coarse fit of the laws, good enough to find an anti-alias roll-off. None if the model has disturbances, a
-    stiffness order or a roll-off."""
-    if model.roll_off or stiffness_order.ball_pass_uses(model) or any(is_disturbance(u) for u in model.effects):
-        return None
-    return fit_record(model, prepare(model, y, rate_hz), coarse=True)
+    return replace(full, messages=(*notes, *full.messages), masses=masses)
 
 
 def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
@@ -191,13 +155,10 @@ def _refuse_without_resonance(point: WorkingPoint) -> None:
         refuse_without_resonance(place, *mean)
 
 
-def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float, start: WorkingPoint | None = None) -> FullFit:
-    """A full fit at a known shaft speed; a ball-pass order that the model leaves open is found in the record.
-
-    start : a fit of nearly the same model to start from.
-    """
+def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float) -> FullFit:
+    """A full fit at a known shaft speed; a ball-pass order that the model leaves open is found in the record."""
     if not stiffness_order.lacks_stiffness_order(model):
-        return _fit_at_given_order(model, y, rate_hz, start)
+        return _fit_at_given_order(model, y, rate_hz)
     if laws := stiffness_order.ball_pass_uses(model):
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
         model, notes = stiffness_order.with_found_order(model, _fit_at_given_order(bare, y, rate_hz).point)
@@ -205,17 +166,16 @@ def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float, start: Wor
             _fit_at_given_order(stiffness_order.with_start_orders(model) if notes else model, y, rate_hz),
             messages=notes,
         )
-    full = _fit_at_given_order(model, y, rate_hz, start)
+    full = _fit_at_given_order(model, y, rate_hz)
     model, notes = stiffness_order.with_found_order(full.model, full.point)
     return replace(full, model=model, messages=(*full.messages, *notes))
 
 
-def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPoint | None = None) -> FullFit:
-    """A full fit at the ball-pass order of the model. start : a fit of nearly the same model to start from."""
+def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
+    """A full fit at the ball-pass order of the model."""
     uses = [u for u in model.effects if is_disturbance(u)]
     if not uses:
-        data = replace(start.data) if start and not model.roll_off else prepare(model, y, rate_hz)  # evaluated anew
-        return FullFit(model, fit_record(model, data, start), disturbances={})
+        return FullFit(model, fit_record(model, prepare(model, y, rate_hz)), disturbances={})
     undone_uses = [u for u in uses if is_undone_as_given(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone_uses))
     point = fit_record(bare, prepare(bare, y, rate_hz))

@@ -17,7 +17,7 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import search_range
 from estimator.identification.structure import spectral_models, transfer_bias
-from estimator.likelihood.fitting.gauss_newton import coarse_fit, fit_model
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, first_stiffness, located_laws, natural_sizes
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
 from estimator.likelihood.path import law_gain
@@ -35,24 +35,12 @@ FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node, where the grid
 MAX_NEGATIVE_DAMPING_REL = 0.1  # of the damping without a pedestal: an intermediate fit may fall that far below zero
 
 
-def fit_record(
-    model: Model, data: MotionRecord, start: WorkingPoint | None = None, coarse: bool = False
-) -> WorkingPoint:
-    """The laws of a model fitted to a record, from any start values.
-
-    start : a fit to nearly the same record, to start from where all free parameters are linear.
-    coarse : there, a coarse fit is enough.
-    """
+def fit_record(model: Model, data: MotionRecord) -> WorkingPoint:
+    """The laws of a model fitted to a record, from any start values."""
     uses, near = _with_pedestal_starts(
         data, located_laws(model, data), located_laws(_without_pedestal_values(model), data)
     )
     loose = [k for k, use in enumerate(uses) if _searched_parameters(use)]
-    if not loose and near:
-        return fit_model(data, uses, near)
-    if not loose and start:
-        return fit_model(data, list(start.placed), start)
-    if not loose:
-        return coarse_fit(data, uses) if coarse else fit_model(data, uses)
     part = leading_blocks(data, GRID_S)
     kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):

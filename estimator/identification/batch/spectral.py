@@ -8,7 +8,7 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.errors import DataError
-from estimator.identification.structure import transfer_faults
+from estimator.identification.structure import transfer_faults, upper_edge
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -16,10 +16,9 @@ from estimator.likelihood.motion.located_law import searched_parameters
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.contour import slowest_modes
-from estimator.likelihood.path.gram_likelihood import evidence_of, responses
+from estimator.likelihood.path.gram_likelihood import responses
 from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
-from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
 from estimator.results import Fit, Message
 from estimator.signals.channel_response import measured_force_places
@@ -41,8 +40,8 @@ def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = N
     """Parameters of a rig from a record, by the spectral path likelihood.
 
     The Gram matrices of the record are enough for laws of the displacement and velocity of a cap. The full fit takes
-    over for: disturbances, forces with memory, laws with an even part, a visible anti-alias roll-off, a mode that the
-    mean response lets grow, an unmeasured force beside a measured one, sensor noise that acts through the
+    over for: disturbances, forces with memory, laws with an even part, a mode that the mean response lets
+    grow, an unmeasured force beside a measured one, sensor noise that acts through the
     shaft, a search for nonlinear parameters that does not converge, and values outside the limits of their
     parameters.
 
@@ -81,10 +80,8 @@ def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = N
             or _shares_sensor_noise(gram_fit)
         )
     )
-    if gram_fit is None or failed or (has_scale and _shows_roll_off(gram_fit)):
-        found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
-        if gram_fit is None or failed or found.model.roll_off:
-            return found.to_fit()
+    if gram_fit is None or failed:
+        return full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz).to_fit()
     if (with_unmeasured := _full_fit_with_unmeasured_force(gram_fit, y)) is not None:
         return with_unmeasured.to_fit()
     samples = int(gram_fit.record.motion.valid.sum())
@@ -177,16 +174,15 @@ def _shares_sensor_noise(gram_fit: SpectralFit) -> bool:
     return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > MAX_SHARED_NOISE_REL)
 
 
-def _shows_roll_off(gram_fit: SpectralFit) -> bool:
-    """Whether the residual force falls towards the upper band edge alike at all places or at those of one bearing, as
-    behind an anti-alias filter."""
+def _upper_edge_messages(gram_fit: SpectralFit) -> tuple[Message, ...]:
+    """A message if the upper end of the band is not to be trusted, else none."""
     record, local, grid = gram_fit.record, gram_fit.local, gram_fit.record.grid
-    if record.force:
-        return False
-    count = evidence_of(gram_fit.bank).blocks * grid.per_cell.astype(np.float64)
-    peaks = [gram_fit.start.sizes[place]["hz_peak"] for place in gram_fit.balance.places]
-    ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), gram_fit.balance.places
-    return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
+    if (messages := upper_edge.aliasing_message(record.model, record.rate_hz)) or record.force:
+        return messages
+    count = gram_fit.bank.blocks.sum() * grid.per_cell.astype(np.float64)
+    resonance_hz = max(gram_fit.start.sizes[place]["hz_peak"] for place in gram_fit.balance.places)
+    ratio = (local.power / local.spread).T / record.counted
+    return upper_edge.roll_off_message(ratio, grid.mean_by_cell(grid.f_hz), count, resonance_hz)
 
 
 def spectral_messages(gram_fit: SpectralFit) -> tuple[Message, ...]:
@@ -203,6 +199,7 @@ def spectral_messages(gram_fit: SpectralFit) -> tuple[Message, ...]:
     if record.lines:
         words = lines_in_words(record.lines, record.model.speed_rpm)
         out.append(Message("lines_left_out", f"spectral lines left out of the fit: {words}"))
+    out += _upper_edge_messages(gram_fit)
     values, sd = gram_fit.values, np.sqrt(np.diag(gram_fit.covariance))
     for i, place in enumerate(places):
         name = f"{place}.m"

@@ -19,6 +19,7 @@ from estimator.errors import DataError
 from estimator.model.rig import MOTION, Model
 from estimator.results import Estimate, Fit, Message, Parameter
 from estimator.signals.band_limit import BandLimit, band_limit
+from estimator.signals.channel_response import anti_alias_response
 
 from .band_edge import BandEdge
 from .plane_moments import Form, PlaneMoments
@@ -79,7 +80,8 @@ class RollingScoreMatching:
         self.model = model
         self._columns = list(motion_columns(model))
         kinds = [model.channels[i].kind for i in self._columns]
-        self._stream = BandLimit(kinds, rate_hz, density_band(model)[0])
+        undone = anti_alias_response(model, rate_hz)
+        self._stream = BandLimit(kinds, rate_hz, density_band(model)[0], undone=undone)
         edge = BandEdge.of(rate_hz, density_band(model)[0])
         self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes_of(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
@@ -216,7 +218,7 @@ def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array
         if finite.size and np.ptp(finite) == 0.0:
             raise DataError(f"channel {model.channels[i].name} is constant ({finite[0]:g}): check sensor and cable")
     band, _ = density_band(model)
-    motion = band_limit(y[:, columns], kinds, rate_hz, band)
+    motion = band_limit(y[:, columns], kinds, rate_hz, band, undone=anti_alias_response(model, rate_hz))
     usable = int(motion.valid.sum())
     if usable < MIN_ROWS:
         raise DataError(

@@ -28,7 +28,7 @@ from estimator.model.rig import Model
 from estimator.results import Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion
 from estimator.signals.blocks import BlockLayout, block_layout
-from estimator.signals.channel_response import RESPONSE_EFFECTS, fault_response
+from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .scope import rolling_scope
@@ -100,7 +100,8 @@ class RollingEstimator:
         motions, forces = motion_channels(model), force_channels(model)
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
-        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True)
+        undone = anti_alias_response(model, rate_hz)
+        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=undone)
         self._grid: BlockLayout = block_layout(rate_hz, model.band, notches(model))
         self._lines = _known_line_stretches(model, self._grid)
         self._kept: list[BandLimitedMotion] = []  # what the next blocks and a new start need

@@ -31,7 +31,6 @@ from .below_band import SlowMotion
 from .level import ExcitationLevel, LevelHistory
 from .memory import Memory, TangentNoiseSums
 from .memory_laws import HiddenStates, linear_of
-from .recorder_fall import RollingRollOff
 from .watch import watched_force, with_candidates
 
 WARM_UP_S = 4.0  # of samples, at least, before the first fit
@@ -41,7 +40,6 @@ SOLUTIONS_PER_CHECK = 2  # check for a change
 BLOCKS_PER_WATCH = 3  # of the memory with the candidates: two at least, so that no two blocks share rows
 SOLUTIONS_PER_LOOK = 8  # look for missing force
 MIN_WATCHED_BLOCKS = 6  # of the memory with the candidates
-MAX_ROLL_OFF_FITS = 4  # of the first blocks, each with the anti-alias roll-off of the one before
 MAX_CENTRE_FITS = 4  # of the first seconds, each about the mean displacement of the one before
 MAX_NEWTON_NATS = 10.0  # about one standard deviation of each parameter: one Newton step leaves a few per cent of it
 
@@ -66,7 +64,7 @@ class RollingFit:
         self.own = np.array(own, dtype=np.intp)
         self.columns = record.columns(self.balance, columns.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
-        self.roll_off = RollingRollOff(record, start, _spectral_shape(record, start))
+        self.colour = _spectral_shape(record, start)
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST_TIME_CONSTANT_REL * time_constant_s, 10 * hop_s)
@@ -144,10 +142,7 @@ class RollingFit:
 
     def settle(self, record: Record) -> None:
         """Fit the memory of the first blocks, once all of them have been taken. record : the last seconds."""
-        for _ in range(MAX_ROLL_OFF_FITS):
-            self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
-            if not self.roll_off.follow(self.local, self.slow.n):
-                break
+        self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
         self._renew_corrections(record)
         self.settled = True
 
@@ -238,7 +233,7 @@ class RollingFit:
                 tangents=mean,
                 nodes=self.start.nodes,
                 dressing=correction,
-                colour=self.roll_off.colour,
+                colour=self.colour,
             )
         )
 
@@ -293,7 +288,6 @@ class RollingFit:
             self.local = replace(local, point=Point(beta, level, np.maximum(noise + 0.5 * step[p + P :], 0.0)))
         else:
             self.local, _ = maximise(likelihood, point, iterations=8, tolerance=1e-3)
-        self.roll_off.follow(local, self.slow.n)
 
     def _changed(self) -> bool:
         """Whether one Newton step on the fast memory leads away from the point of the slow one."""

@@ -11,8 +11,8 @@ from scipy.special import chdtrc
 from estimator.arrays import Array
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
 from estimator.identification.finding import Finding
-from estimator.likelihood.fitting.path_spectra import PathSpectra
 from estimator.likelihood.fitting.transfer_function import (
+    PathSpectra,
     Peak,
     clipped_exp,
     linear_tangent,
@@ -24,7 +24,6 @@ from estimator.model.rig import MOTION, Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
-MIN_FOLDED_SHARE = 0.01  # of the aliased force: sensor noise must be `NOISE_RATIO` times as strong
 NOISE_RATIO = 6.0  # power of a faulty sensor's noise over that of its neighbours
 
 
@@ -46,8 +45,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        folded = point.S[i] * float(heard[i] @ data.folded[i] / (heard[i] @ data.noise_shape[i]))
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), MIN_FOLDED_SHARE * folded)
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()))
         if noise[i] < NOISE_RATIO * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
@@ -84,11 +82,6 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
 MAX_UNEVENNESS_RMS = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 
 
-def _density(r: PathSpectra, peak: Peak) -> float:
-    """PSD of a motion sensor's noise with the least of the motion aliased into it, sensor unit squared per Hz."""
-    return clipped_exp(peak.u[1]) + float(np.min(r.folded))
-
-
 def find_noisy_sensors_under_force(
     model: Model, point: WorkingPoint, heard: Mapping[int, tuple[PathSpectra, Peak, Array]]
 ) -> list[Finding]:  # fmt: skip
@@ -103,15 +96,16 @@ def find_noisy_sensors_under_force(
         place = data.places[i]
         P, _, s = residual_and_noise(r, base.A, base.u)
         off = np.log(P / s)
-        others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
+        others = [clipped_exp(own[1].u[1]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
         depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
         if not others or place in have or depth > MAX_UNEVENNESS_RMS**2:
             continue
-        density, floor = _density(r, base), float(np.median(others))
+        density, floor = clipped_exp(base.u[1]), float(np.median(others))
         if density < NOISE_RATIO * floor:
             continue
-        own = np.log(floor - min(float(np.min(r.folded)), 0.9 * floor))
-        quiet = maximise_path(r, partial(linear_tangent, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
+        quiet = maximise_path(
+            r, partial(linear_tangent, r), np.array([base.u[0], np.log(floor), *base.u[2:]]), scale, held=1
+        )
         gain = base.nats - quiet.nats
         if 2 * gain < NOISE_RATIO:
             continue

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
+from estimator.likelihood.path.sensor_noise import referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.recorder import images
 
 MIN_NOISE_SHARE = 1e-3  # of the power of the noisiest sensor's noise, that every sensor is given
 MAX_CELLS = 260  # over the band
@@ -36,15 +35,6 @@ class SpectralCells:
         PSD of the noise of all sensors referred to force, over that of the own sensor's noise.
     others : (cells,) float64
         PSD of the acceleration here due to the forces at the other caps, (m/s^2)^2/Hz.
-    aliased_gain : (cells,) float64
-        PSD of the aliased force at all caps, over S.
-    white : (2, cells) float64
-        PSD over S of the force due to accelerations of free masses under the S of each cap: by the own sensor, by those
-        of the other caps.
-    echoes : (images, cells) float64
-        Aliased part of the own sensor's, by image.
-    images : (images, cells) float64
-        Frequencies of the images, Hz.
     """
 
     power: Array
@@ -54,10 +44,6 @@ class SpectralCells:
     force_shape: Array
     noise_gain: Array
     others: Array
-    aliased_gain: Array
-    white: Array
-    echoes: Array
-    images: Array
 
     def at(self, keep: NDArray[np.bool_]) -> SpectralCells:
         """The cells where keep (cells,) is true."""
@@ -71,12 +57,12 @@ class SpectralCells:
         """(cells,) PSD of the residual force if A is the true tangent of the rotor, N^2/Hz.
 
         u : ln S, ln of the noise PSD. factor : of the force spectrum. The residual force is F - d a with d = A - self.A
-        and a = (F + self.A o) / A, where o is the motion by the forces at the other caps. Sensor noise and aliased
-        motion are no motion of the rotor: their force follows from self.A alone.
+        and a = (F + self.A o) / A, where o is the motion by the forces at the other caps. Sensor noise is no motion of
+        the rotor: its force follows from self.A alone.
         """
         S, noise = finite_exp(u[0]), finite_exp(u[1])
         force = S * self.force_shape * factor + np.abs(A - self.A) ** 2 * self.others
-        return np.asarray(force * np.abs(self.A / A) ** 2 + noise * self.noise_gain + S * self.aliased_gain)
+        return np.asarray(force * np.abs(self.A / A) ** 2 + noise * self.noise_gain)
 
 
 def _noise_gain(point: WorkingPoint, i: int) -> Array:
@@ -101,10 +87,6 @@ def cells_of(point: WorkingPoint, i: int) -> SpectralCells:
 
     w = 2 * np.pi * data.f_hz
     A, others = with_others_answering(point.A, point.S, i)
-    through = np.abs(point.A[:, i].T) ** 2
-    made = through * (point.S / point.S[i] / data.mass**2)[:, None]
-    white = mean(np.stack([made[i], made.sum(axis=0) - made[i]]))
-    echoes = through[i] * data.echoes[:, i]
     return SpectralCells(
         power=mean(power),
         n=width * data.blocks,
@@ -113,10 +95,6 @@ def cells_of(point: WorkingPoint, i: int) -> SpectralCells:
         force_shape=mean(data.excitation_shape[i]),
         noise_gain=mean(_noise_gain(point, i)),
         others=mean(others),
-        aliased_gain=mean(aliased_psd(data, point.A, point.S)[i]),
-        white=white,
-        echoes=mean(echoes),
-        images=mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
     )
 
 

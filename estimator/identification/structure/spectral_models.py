@@ -17,7 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.results import Parameter
 
 from . import pedestal_form
-from .spectral_cells import SpectralCells, cells_of, finite_exp
+from .spectral_cells import SpectralCells, cells_of
 
 MAX_DIMMING_SHARE = 0.985  # of S, that a spectral shape may take away at low frequencies
 BROADENED_DAMPING_SHARE = 0.75  # of a damping: excess of one resonance fitted to the two of rotor and pedestal
@@ -86,10 +86,7 @@ def _resonance_shape(top: float) -> SpectralShape:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
     def model(c: SpectralCells, u: Array) -> Array:
-        numbers = values(u[4:])
-        out = c.spectrum(u, c.tangent(u), resonant_power(c.w / (2 * np.pi), *numbers))
-        beyond = c.echoes[:, None] * (resonant_power(c.images[:, None], *numbers) - 1.0)
-        return np.asarray(out + (finite_exp(u[0]) * beyond.sum(axis=0)).reshape(out.shape))
+        return c.spectrum(u, c.tangent(u), resonant_power(c.w / (2 * np.pi), *values(u[4:])))
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
     return SpectralShape(
@@ -187,21 +184,6 @@ def fit_base_model(point: WorkingPoint, i: int, c: SpectralCells) -> tuple[float
     u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
     level, u, _ = _max_likelihood(c, base_model, [u0, quiet], scale)
     return level, u, scale
-
-
-def best_other_deviance(point: WorkingPoint, i: int, c: SpectralCells, level: float, u: Array, scale: Array) -> float:
-    """Least deviance of location i by a cause that is no roll-off.
-
-    Such causes are an excitation shape with its corner in the band, a sensor resonance with a peak, and a pedestal.
-    """
-    least, top = -2 * level, point.data.band[1]
-    for shape in spectral_causes(point, i):
-        found, z, _ = fit_shape(c, shape, u, scale)
-        values = shape.values(z[4:])
-        if is_peakless(shape.effect, values, top) or (shape.effect == COLOURED_EXCITATION.name and values[1] > top):
-            continue
-        least = min(least, -2 * found)
-    return least
 
 
 def spectral_causes(point: WorkingPoint, i: int) -> tuple[SpectralShape, ...]:

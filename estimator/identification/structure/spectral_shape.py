@@ -227,7 +227,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
         if j is None or j < i or place in have or data.measured_force_psd[i] > 0.0 or data.measured_force_psd[j] > 0.0:
             continue
         noise, (a, b) = point.whitening.noise, (point.spectra[k].view(np.complex64) for k in (i, j))
-        shape = force_correlation(data, point.A, noise.weight, i, j)
+        shape = force_correlation(data, noise.weight, i, j)
         both = np.einsum("bk,bk->k", a, b.conj()) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real) * shape.size
         square = float(np.vdot(shape, shape).real)
         rho = float(np.vdot(shape, both - noise.correlation(i, j)).real) / square

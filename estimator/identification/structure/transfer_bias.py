@@ -15,9 +15,8 @@ from estimator.effects.places import at, written
 from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
 from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.effects.sensor.sensor_skew import SENSOR_SKEW
-from estimator.likelihood.fitting.folded_force import images, of_late_sensor
-from estimator.likelihood.fitting.path_spectra import PathSpectra
 from estimator.likelihood.fitting.transfer_function import (
+    PathSpectra,
     Peak,
     fit_linear_path,
     linear_tangent,
@@ -35,8 +34,6 @@ from . import pedestal_form
 from .spectral_models import resonance_hz
 
 CAUSE_NUMBERS = slice(4, None)  # of the numbers of a peak, those of a cause
-MAX_FOLD_ROUNDS = 8  # of passing the aliased force through the sensor as fitted
-SETTLED_STEP_SD = 0.1  # of a step of the cause's numbers, in standard deviations
 GAIN_STARTS = ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,))  # errors of a gain, from which searches start
 SKEW_STARTS = ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,))  # delays, samples
 
@@ -57,8 +54,6 @@ class TransferCause:
         Parameters in SI -> z.
     bend : callable
         (path spectra, tangent (cells,) without the cause, kL, c, parameters) -> biased tangent (cells,).
-    sensor : callable or None
-        Response of a faulty sensor at w (..., cells) over what is undone; aliased motion passes it at its image.
     """
 
     effect: str
@@ -66,7 +61,6 @@ class TransferCause:
     values: Callable[[Array], Array]
     free: Callable[[Array], Array]
     bend: Callable[[PathSpectra, Complexes, float, float, Array], Complexes]
-    sensor: Callable[[Array, Array], Complexes] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,10 +91,8 @@ def _sensor_cause(
     limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
 
     def bend(r: PathSpectra, A: Complexes, k: float, c: float, p: Array) -> Complexes:
-        return np.asarray(A / sensor(r.w, p))
-
-    def sensor(w: Array, p: Array) -> Complexes:
-        return fault_response(effect, dict(zip(names, p, strict=True)), w) / fault_response(effect, now, w)
+        own = fault_response(effect, dict(zip(names, p, strict=True)), r.w)
+        return np.asarray(A * fault_response(effect, now, r.w) / own)
 
     if unit == 0.0:
         return TransferCause(
@@ -109,11 +101,8 @@ def _sensor_cause(
             values=lambda z: np.exp(np.clip(z, *limits)),
             free=np.log,
             bend=bend,
-            sensor=sensor,
         )
-    return TransferCause(
-        effect=effect, starts=starts, values=lambda z: unit * z, free=lambda p: p / unit, bend=bend, sensor=sensor
-    )
+    return TransferCause(effect=effect, starts=starts, values=lambda z: unit * z, free=lambda p: p / unit, bend=bend)
 
 
 def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[TransferCause]:
@@ -147,24 +136,8 @@ def fit_cause(
     wide = np.concatenate([scale, np.full(starts[0].size, 0.1)])
     peaks = [maximise_path(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
     best = max(peaks, key=lambda peak: peak.nats)
-
-    def again(r: PathSpectra) -> list[Peak]:
-        return [maximise_path(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noise_starts(r, best.A)]
-
-    best = max([best, *again(r)], key=lambda peak: peak.nats)
-    if cause.sensor is None or r.bare is None:
-        return best
-    for _ in range(MAX_FOLD_ROUNDS):
-        was, further = (
-            best.u[CAUSE_NUMBERS],
-            cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[CAUSE_NUMBERS])),
-        )
-        best = max(again(r.through(further)), key=lambda peak: peak.nats)
-        if np.all(
-            np.abs(best.u[CAUSE_NUMBERS] - was) < SETTLED_STEP_SD * np.sqrt(np.diag(best.covariance)[CAUSE_NUMBERS])
-        ):
-            break
-    return best
+    again = [maximise_path(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noise_starts(r, best.A)]
+    return max([best, *again], key=lambda peak: peak.nats)
 
 
 def cause_parameters(cause: TransferCause, peak: Peak, part: slice = CAUSE_NUMBERS) -> dict[str, Parameter]:
@@ -209,9 +182,7 @@ def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict
             (cause,) = (c for c in transfer_causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
             r = path_spectra_of(point, i, lines)
-            late = of_late_sensor(r, point.data.rate_hz) if use.name == SENSOR_SKEW.name else None
-            peaks = [fit_cause(point, i, z, cause, *fit_linear_path(point, i, z), starts) for z in (r, late) if z]
-            best = cause_parameters(cause, max(peaks, key=lambda peak: peak.nats))
+            best = cause_parameters(cause, fit_cause(point, i, r, cause, *fit_linear_path(point, i, r), starts))
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
             for n, q in best.items():

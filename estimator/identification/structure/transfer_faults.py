@@ -21,9 +21,8 @@ from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.effects.sensor.sensor_skew import SENSOR_SKEW
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
-from estimator.likelihood.fitting.folded_force import of_late_sensor
-from estimator.likelihood.fitting.path_spectra import PathSpectra
 from estimator.likelihood.fitting.transfer_function import (
+    PathSpectra,
     Peak,
     clipped_exp,
     fit_linear_path,
@@ -83,27 +82,8 @@ def _findings_at(
     if r.n.size < MIN_CELLS:
         return [], None
     tried = likeliest_reading(model, point, i, r)
-    if (beside := _with_rival_folding(model, point, i, tried)) is not None:
-        tried = beside
-    elif late := of_late_sensor(r, point.data.rate_hz):
-        delayed = likeliest_reading(model, point, i, late)
-        tried = delayed if delayed.late and delayed.nats > tried.nats else tried
     found = _place_findings(model, point, i, tried)
     return found, None if found else (tried.response, tried.base, tried.scale)
-
-
-def _with_rival_folding(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> TriedCauses | None:
-    """Causes tried with the rival density of the aliased force; None unless it explains what no cause explains.
-
-    Aliased force and sensor noise may be equally likely by their coherence with the motion.
-    """
-    r, least = tried.response, (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
-    if r.fold is None or r.fold.rival is None:
-        return None
-    if not all(_is_biased(r, peak, least) for peak in (tried.base, tried.best)):
-        return None
-    beside = likeliest_reading(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
-    return None if _is_biased(beside.response, beside.base, least) else replace(beside, causes={})
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +111,6 @@ class TriedCauses:
     def best(self) -> Peak:
         """The fit with the likeliest cause; without a cause if none is likelier."""
         return max(self.causes.values(), key=lambda peak: peak.nats, default=self.base)
-
-    @property
-    def nats(self) -> float:
-        """Largest log-likelihood with or without a cause, nats."""
-        return max(self.base.nats, self.best.nats)
 
     @property
     def late(self) -> bool:
@@ -332,7 +307,6 @@ def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:
     P, rest, s = residual_and_noise(r, peak.A, peak.u)
     N, Q, H = clipped_exp(peak.u[1]) * r.noise, clipped_exp(peak.u[0]), r.answer(peak.A).conj()
     odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
-    odd -= (peak.A - r.alike) * (1 - H * np.conj(r.alike)) * r.folded
     # no more than is left: what is taken for a force beside the measured one may be none, and move nothing
     return np.minimum(np.abs(odd) ** 2 / r.aa, P), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 

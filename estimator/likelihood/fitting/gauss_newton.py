@@ -32,7 +32,6 @@ from estimator.signals.band_limit import out_of_band_sd
 
 from . import denoise_by_force
 from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
-from .transfer_function import path_spectra_of
 
 FIRST_PART_S = 8.0  # part of a long record that the first rounds fit
 PART_GROWTH = 3.0  # length of a part over that of the part before
@@ -42,7 +41,7 @@ MIN_STIFFNESS_SHARE = 0.3  # of a stiffness after a step over that before it, wh
 MAX_LAST_STEP_SD = 0.3  # last step of a fit, standard deviations; the remaining error is a tenth of it or less
 MAX_PART_STEP_SD = 0.5  # last step on a part of a record, standard deviations
 SPECTRUM_BLOCKS = 80  # number of blocks for the spectrum of the motion
-LEFT_OUT_TOLERANCE_REL = 0.05  # of the motion outside the band and of aliased motion, between steps
+LEFT_OUT_TOLERANCE_REL = 0.05  # of the motion outside the band, between steps
 MAX_STILL_STEP_SD = 1.0  # step below which the below-band displacement is kept, standard deviations
 
 
@@ -65,7 +64,7 @@ def fit_model(
     while True:
         data = data if moved.max(initial=0.0) < MAX_STILL_STEP_SD else with_below_band_motion(data, kL, c, uses)
         point = point_at(data, kL, c, nu, S, uses)
-        S_old, S = S, point.S
+        S = point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared) - len(data.periodic_amplitudes)]
         kL, c, uses = _stepped(point, kL, c)
@@ -73,7 +72,6 @@ def fit_model(
         settled = np.allclose(
             nu * weight, nu_old * weight, rtol=NOISE_TOLERANCE_REL, atol=NOISE_TOLERANCE_REL * MIN_NOISE_RATIO
         )
-        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=LEFT_OUT_TOLERANCE_REL)
         data, settled = _renewed_record(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
@@ -100,13 +98,10 @@ def _start_values(
 def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
     """The record of a point with all that depends on its values, and whether that has settled.
 
-    nu : (places,) sensor noise over S. settled : whether sensor noise and aliased motion have settled.
+    nu : (places,) sensor noise over S. settled : whether the sensor noise has settled.
     """
     data = point.data
-    folded, force = _aliased_with_force(point)
-    if not np.allclose(folded, data.folded_beside, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
-        data, settled = replace(data, folded_beside=folded, alike_beside=force), False
-    if data.measured_force and not data.folded_beside.any():
+    if data.measured_force:
         calm, doubt = denoise_by_force.denoised_by_force(point, nu)
         settled &= denoise_by_force.is_settled(point, calm)
         data = replace(data, denoise_correction=calm, denoise_sd=doubt)
@@ -119,22 +114,6 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
     if not levels_agree(level, data.level):
         data, settled = replace(data, level=level), False
     return data, settled
-
-
-def coarse_fit(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
-    """The fit of a part of the record and one step on the whole record, for its residual force.
-
-    The second-order corrections are those of the part. A short record is fitted as a whole.
-    """
-    data = without_shaft_orders(data, [use.effect for use in uses])
-    start = _fit_of_parts(data, uses)
-    if start is None:
-        return fit_model(data, uses)
-    uses = list(start.placed)
-    data, kL, c, nu, S = _start_values(data, uses, start)
-    point = point_at(with_below_band_motion(data, kL, c, uses), kL, c, nu, S, uses, start)
-    kL, c, uses = _stepped(point, kL, c)
-    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=sensor_noise_ratio(point)[0])
 
 
 def _fit_of_parts(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_ROUNDS) -> WorkingPoint | None:
@@ -273,13 +252,9 @@ def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Arr
 
 
 def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
-    """The record with its denoised displacement. Beside a measured force the noise is the aliased motion."""
+    """The record with its denoised displacement; beside a measured force that is renewed by the force."""
     noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.undone_noise_gain
-    inside = np.array([kind != "displacement" for kind in data.kinds]) * S
-    noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
-    if data.measured_force:
-        noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
-    if noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
+    if data.measured_force or noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, denoise_correction=None, denoise_sd=0.0)
     bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
     f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
@@ -287,19 +262,6 @@ def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
     noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
     found = denoising_filter(f_hz, _displacement_psd(data, bins), noise, 0)
     return replace(data, denoise_correction=found.of(data.x, data.rate_hz).astype(np.float32), denoise_sd=found.doubt)
-
-
-def _aliased_with_force(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
-    """(places, bins) PSD of the aliased acceleration beside a measured force, and its force per acceleration, kg."""
-    data = point.data
-    out, force = np.zeros_like(data.excitation_shape), np.zeros(data.excitation_shape.shape, complex)
-    for i in np.flatnonzero(data.measured_force_psd):
-        r = path_spectra_of(point, int(i), every=max(1, data.blocks // SPECTRUM_BLOCKS))
-        if np.any(r.folded):
-            hz = r.w / (2 * np.pi)
-            out[i] = np.interp(data.f_hz, hz, r.folded)
-            force[i] = np.interp(data.f_hz, hz, r.alike)
-    return out, force
 
 
 def _displacement_psd(data: MotionRecord, bins: NDArray[np.int64]) -> Array:

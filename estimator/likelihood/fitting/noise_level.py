@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
+from estimator.likelihood.path.sensor_noise import referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
@@ -20,7 +20,7 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
     data = point.data
     own = data.noise_referred_to_force(point.A)
     noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
-    known = data.excitation_shape + aliased_psd(data, point.A, point.S) + noise - point.nu[:, None] * own
+    known = data.excitation_shape + noise - point.nu[:, None] * own
     weight = own.mean(axis=1)
 
     def at(i: int) -> float:

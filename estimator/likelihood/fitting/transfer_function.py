@@ -13,9 +13,6 @@ the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, 
 place. Q may also be an unmeasured force beside f. Then f is exact, and p = 0; or it is partly both. Amplitude and phase
 of every bin count, so a thousandth of the force is detected.
 
-What sampling folds back, of density M, is n in the motion and m n in the force, so (A' - m) n remains. The measured
-force determines m M / |f|^2 f of it, which is taken out of both. The rest, independent of f, adds |A' - m|^2 M.
-
 References
 ----------
 P. Whittle, "Estimation and information in stationary time series", Arkiv for Matematik 2, 1953, 423-434.
@@ -24,7 +21,7 @@ P. Whittle, "Estimation and information in stationary time series", Arkiv for Ma
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +30,6 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.signals.band_limit import noise_shape
-
-from .folded_force import aliased_tangent, folded
-from .path_spectra import PathSpectra
 
 if TYPE_CHECKING:
     from estimator.likelihood.path.working_point import WorkingPoint
@@ -46,17 +40,48 @@ LINE_HALF_WIDTH_BINS = 2.5  # left out on either side of a tone
 MAX_STEPS, MIN_STEP_GAIN_NATS = 60, 1e-4  # of the scoring
 
 
-def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> PathSpectra:
-    """The spectra of place i.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathSpectra:
+    """Residual force R, acceleration a and measured force f of one place, by cells of the band.
 
-    lines : Hz, tones whose bins are left out. every : step through the blocks; all are taken where aliased motion is
-    likely but not certain.
+    w : (cells,) rad/s. n : (cells,) independent numbers. rr, ra, aa, rf, af, ff : (cells,) mean |R|^2, R a*, |a|^2, R
+    f*, a f* and |f|^2, one-sided PSD. A : (cells,) kg, tangent. H : (cells,) acceleration per force, the other places
+    free; 1 / A of a place that is not coupled. noise : (cells,) PSD of acceleration of white sensor noise. hz :
+    (cells,) width. unmeasured : share of the noise Q of the force that is an unmeasured force, not sensor noise. across
+    : (cells,) PSD in R of sensor noise of other places.
     """
+
+    w: Array
+    n: Array
+    rr: Array
+    ra: Complexes
+    aa: Array
+    rf: Complexes
+    af: Complexes
+    ff: Array
+    A: Complexes
+    H: Complexes
+    noise: Array
+    hz: Array
+    unmeasured: float = 0.0
+    across: Array | float = 0.0
+
+    def share(self, Q: float) -> Array:
+        """(cells,) share of noise in the power of the measured force. Q : N^2/Hz, its density."""
+        return np.minimum((1.0 - self.unmeasured) * Q / self.ff, 0.5)
+
+    def answer(self, A: Complexes) -> Complexes:
+        """(cells,) acceleration per force at another tangent A (cells,)."""
+        return np.asarray(self.H / (1 + (A - self.A) * self.H))
+
+
+def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> PathSpectra:
+    """The spectra of place i. lines : Hz, tones whose bins are left out."""
     data = point.data
     w = 2 * np.pi * data.f_hz
 
     def blocks(z: NDArray[Any]) -> NDArray[np.complex64]:
-        return _spectra(z.reshape(-1, data.block)[::every], data.block, data.start[::every])[:, data.bins]
+        return _spectra(z.reshape(-1, data.block), data.block, data.start)[:, data.bins]
 
     R, a = blocks(point.force[i]), 1j * w * blocks(data.v[i])
     f = point.A[:, i, i] * a - R
@@ -79,9 +104,9 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), 
 
     rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.undone_noise_gain[i]
-    noise_psd = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
+    noise_psd = data.noise_shape * (point.nu * point.S)[:, None]
     across = np.sum(np.abs(point.A[:, i]) ** 2 * noise_psd.T, axis=1, where=others)
-    found = PathSpectra(
+    return PathSpectra(
         w=ww.real,
         n=INDEPENDENT_PER_BIN * width * len(R),
         rr=rr.real,
@@ -96,12 +121,6 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), 
         hz=spacing * width,
         across=mean(across).real,
     )
-    k, c = point.mean_tangent[i, i]
-    back = aliased_tangent(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
-    seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
-    if every > 1 and seen.likely and not seen.density.any():
-        return path_spectra_of(point, i, lines)
-    return found.less(seen) if seen.density.any() else replace(found, fold=seen)
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
@@ -149,14 +168,14 @@ def maximise_path(
 
     def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
         P = residual_power(r, A, clipped_exp(u[0]))
-        own, back = clipped_exp(u[1]) * r.noise, (A - r.alike) * r.folded
+        own = clipped_exp(u[1]) * r.noise
         dA = np.zeros((u.size, r.w.size), complex)
         for j in range(2, u.size):
             up, down = u[2:].copy(), u[2:].copy()
             up[j - 2] += 1e-4 * scale[j]
             down[j - 2] -= 1e-4 * scale[j]
             dA[j] = (bend(up) - bend(down)) / 2e-4
-        ds = 2 * np.real((A * own + back).conj() * dA)
+        ds = 2 * np.real((A * own).conj() * dA)
         ds[0], ds[1] = clipped_exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
         g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA * r.answer(A))) @ r.n
         H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
@@ -231,6 +250,6 @@ def residual_and_noise(r: PathSpectra, A: Complexes, u: Array) -> tuple[Array, C
     Q = clipped_exp(u[0])
     p = r.share(Q)
     rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()
-    own = r.unmeasured * Q + (1 - p) * ((1 - r.unmeasured) * Q + r.apart)
-    s = np.abs(A) ** 2 * clipped_exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own + r.across
+    own = r.unmeasured * Q + (1 - p) * (1 - r.unmeasured) * Q
+    s = np.abs(A) ** 2 * clipped_exp(u[1]) * r.noise + own + r.across
     return residual_power(r, A, Q), rest, s

@@ -1,4 +1,4 @@
-"""Spectra that the model gives before a fit: shaft, excitation shape, noise of corrected channels, aliasing."""
+"""Spectra that the model gives before a fit: shaft, excitation shape, noise of corrected channels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.model.disc import disc_of
 from estimator.model.rig import Model, Setting
-from estimator.signals.channel_response import channel_response, folded_images, measured_force_places
+from estimator.signals.channel_response import channel_response, measured_force_places
 
 from .force_balance import shaft_notch
 
@@ -36,17 +36,8 @@ def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
 
 
 def undone_noise_gain(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) power gain of undoing the responses of sensor and recorder."""
+    """(places, f) power gain of undoing the faults of the sensors."""
     return np.array([1.0 / np.abs(channel_response(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
-
-
-def folded_noise(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
-    """(images, places, f) PSD of acceleration that sampling folds back, over the PSD of the force."""
-    own = [folded_images(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
-    out = np.zeros((max(map(len, own)), len(places), f_hz.size))
-    for i, z in enumerate(own):
-        out[: len(z), i] = z
-    return out
 
 
 def excitation_shapes(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array, Complexes, Series
+from estimator.arrays import Array, Series
 from estimator.model.disc import Disc
 from estimator.signals.band_limit import noise_shape
 
@@ -47,10 +47,6 @@ class MotionRecord:
     rms : (3, places) of x, v and a, over the whole record.
     measured_force_psd : (places,) N^2/Hz of the measured forces; 0 without one.
     undone_noise_gain : (places, bins) power gain of the noise where a channel response was undone.
-    echoes : (images, places, bins) PSD of acceleration that sampling folds back, over S.
-    folded_beside : (places, bins) N^2/Hz, the part of it that is folded back beside a measured force.
-    alike_beside : (places, bins) the force that goes with folded_beside.
-    passed : (2, places, bins) response of the sensors to the images from below and beyond the sampling rate.
     measured : (places, n) displacement below the band, 0 where it is not measured; None without displacement sensors.
     slow : (places, n) displacement below the band as the laws see it; None if it is neglected.
     denoise_correction : (places, n) denoised displacement less the displacement; None if the noise is negligible.
@@ -84,10 +80,6 @@ class MotionRecord:
     rms: Array
     measured_force_psd: Array
     undone_noise_gain: Array
-    echoes: Array
-    folded_beside: Array
-    alike_beside: Complexes
-    passed: Complexes
     measured: Series | None = None
     slow: Series | None = None
     denoise_correction: Series | None = None
@@ -103,11 +95,6 @@ class MotionRecord:
     def measured_force(self) -> bool:
         """Whether a force is measured at any place."""
         return bool(self.measured_force_psd.any())
-
-    @property
-    def folded(self) -> Array:
-        """(places, bins) PSD of acceleration that sampling folds back, over S."""
-        return np.asarray(self.echoes.sum(axis=0))
 
     @property
     def blocks(self) -> int:
@@ -240,9 +227,7 @@ def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:
     if keep.all():
         return data
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], excitation_shape=data.excitation_shape[:, keep],
-                   undone_noise_gain=data.undone_noise_gain[:, keep], echoes=data.echoes[..., keep],
-                   folded_beside=data.folded_beside[:, keep], alike_beside=data.alike_beside[:, keep],
-                   passed=data.passed[..., keep])  # fmt: skip
+                   undone_noise_gain=data.undone_noise_gain[:, keep])  # fmt: skip
 
 
 def fold_record(data: MotionRecord, f: int) -> MotionRecord:

@@ -17,13 +17,13 @@ from estimator.parallel import map_threads
 from estimator.results import Message
 from estimator.signals.band_limit import below_band_force
 from estimator.signals.band_limited_record import BandLimitedRecord
-from estimator.signals.channel_response import corrected_record, passed_of_images
+from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
 from .checks import check_moves
 from .force_balance import shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
-from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, folded_noise, shaft_response, undone_noise_gain
+from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_blocks
 
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
@@ -59,9 +59,7 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    motion = BandLimitedRecord(
-        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
-    ).whole(np.float32)
+    motion = _band_limited(model, used, columns, rate_hz).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * TIME_FOLDS:
         raise DataError(_too_short(used, starts.size, rate_hz, block))
@@ -101,22 +99,25 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model),
         periodic_below_band=below_band_forces(model, places), below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
-        **_spectra_of_model(model, kinds, mass, rate_hz, f),
+        **_spectra_of_model(model, f),
     )  # fmt: skip
 
 
-def _spectra_of_model(model: Model, kinds: tuple[str, ...], mass: Array, rate_hz: float, f_hz: Array) -> dict[str, Any]:
+def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) -> BandLimitedRecord:
+    """Band-limited motion and force of some columns of a record; y : these columns (n, columns), SI."""
+    return BandLimitedRecord(
+        y, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True,
+        undone=anti_alias_response(model, rate_hz),
+    )  # fmt: skip
+
+
+def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
     """The fields of a record that the model gives by frequency."""
     places = model.places
-    zero = np.zeros((len(places), f_hz.size))
     return {
         "shaft": shaft_response(model, places, f_hz),
         "excitation_shape": excitation_shapes(model, places, f_hz, FORCE_SHAPES),
         "undone_noise_gain": undone_noise_gain(model, places, f_hz),
-        "echoes": folded_noise(model, places, kinds, mass, f_hz),
-        "folded_beside": zero,
-        "alike_beside": zero.astype(complex),
-        "passed": np.stack([passed_of_images(model, p, rate_hz, f_hz) for p in places], axis=1),
     }
 
 

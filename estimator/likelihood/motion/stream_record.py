@@ -22,6 +22,7 @@ from estimator.signals.blocks import (
     gram_by_cell,
     valid_blocks,
 )
+from estimator.signals.channel_response import anti_alias_response
 
 from .denoise import DenoisingFilter
 from .force_balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
@@ -138,8 +139,9 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     P, force = len(motions), {}
     motion: BandLimitedMotion | BandLimitedRecord
     filtered = BandLimitedRecord(
-        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model), slow=True
-    )
+        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model), slow=True,
+        undone=anti_alias_response(model, rate_hz),
+    )  # fmt: skip
     if filtered.large and not forces:
         motion = filtered
     else:

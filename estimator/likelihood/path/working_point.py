@@ -196,7 +196,7 @@ def point_at(
         own = map_threads(lambda k: with_second_order(own[k], uses[k], around), range(len(uses)))
     else:
         own = map_threads(lambda k: _corrected_as_longer(own[k], uses[k], longer), range(len(uses)))
-    common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
+    common = {(i, j): force_correlation(data, noise.weight, i, j) for i, j in data.shared}
     made = _all_regressors(data, lin, uses, own) + _common_force_regressors(data, F, noise.weight, common)
     whitened = whitening.whiten(made)
     G = gram_matrices(whitening, spectra, whitened)

@@ -377,3 +377,14 @@ def test_check_notes_a_resonance_outside_the_band(
     said = capsys.readouterr().out
     assert ("resonates at" in said) is bool(hz)
     assert f"resonates at {hz}, outside the band of" in said or not hz
+
+
+def test_the_anti_alias_filter_is_part_of_the_model() -> None:
+    given = '[acquisition]\nrate_hz = 25600.0\nanti_alias = { kind = "bessel", order = 4, cutoff_hz = 9000.0 }\n'
+    own = Rig.parse(CONTRACT + given, where="rig.toml").model.anti_alias
+    assert own is not None
+    assert (own.kind, own.order, own.cutoff_hz, own.ripple_db) == ("bessel", 4, 9000.0, None)
+    (text,) = problems(CONTRACT + given.replace('"bessel", order = 4', '"fir", order = 40').replace("9000", "12900"))
+    assert "acquisition.anti_alias.cutoff_hz" in text
+    (text,) = problems(CONTRACT + given.replace("order = 4", "order = 40"))
+    assert "at most 20 poles" in text

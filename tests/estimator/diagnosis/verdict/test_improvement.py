@@ -104,9 +104,7 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
         refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE, fitted)
 
 
-def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
-    rig: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model) -> None:
     """The missing force is in the spectrum that the colour is seen in; left so, a sensor resonance was added later."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     cubic = CATALOGUE["cubic"]
@@ -117,8 +115,6 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
     named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
     said = iter([BearingJudgement("cubic", (named,)), BearingJudgement("complete", ())])
-    # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
-    monkeypatch.setattr("estimator.identification.structure.recorder_fall.find_roll_off", lambda *_: {})
     ladder = improvement(known, y, RATE, diagnose=lambda *_: next(said))
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
     alone = fit_all_effects(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters

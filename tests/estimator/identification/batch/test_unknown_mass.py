@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-from scipy import signal
-
 from daq.rig.rig import load_rig
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
@@ -40,18 +37,3 @@ def test_standard_deviations_hold_those_of_the_masses() -> None:
 def test_a_number_belongs_to_its_place_or_to_all_of_its_node() -> None:
     names = ("bearing1.x.kL", "bearing1.y.kL", "bearing1.rub.gap", "bearing2.x.kL", "disc.crack.loss")
     assert [is_of_place(name, "bearing1.x") for name in names] == [True, False, True, False, False]
-
-
-@pytest.mark.slow
-def test_masses_are_told_behind_a_filter() -> None:
-    """With the filter in the record they were 45 to 86 % high, and two of the four untold. A shaft a tenth as stiff as
-    the bearings tells them to 30 % here, and `fit` undoes the filter too."""
-    rig, known = rotors()
-    sos = signal.bessel(4, 10000.0, fs=4 * RATE, norm="mag", output="sos")
-    y = signal.sosfilt(sos, simulate(known, 4 * RATE, 20.0, seed=1, noise=0.02), axis=0)[::4]
-    found = fit_all_effects(rig, y, RATE).parameters
-    for place in rig.places:
-        m = found[f"{place}.m"]
-        assert m.identifiable
-        assert abs((m.value or 0.0) - (known.cap_mass(place) or 0.0)) < 3.0 * (m.sd or 0.0)
-    assert any(m.code == "recorder_rolls_off" for m in spectral.fit_spectral(rig, y, RATE).messages)
