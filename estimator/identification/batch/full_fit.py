@@ -27,6 +27,7 @@ from estimator.identification.structure import (
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
+from estimator.likelihood.motion.located_law import has_nonlinear_memory
 from estimator.likelihood.motion.prepare import prepare, shortening_messages
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -52,6 +53,7 @@ SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     for name, e in CATALOGUE.items()
     if e.found_by in ("spectrum", "coherence", "samples") and e.kind != "memory" and not e.flat_magnitude
 )
+MAX_TANGENT_SD_REL = 0.1  # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
 MIN_RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 MAX_RESOLVING_ROUNDS = 6  # while sensor faults at weakly coupled bearing caps still move
 
@@ -133,9 +135,22 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *unmeasured_end.unmeasured_end_messages(
             full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))
         ),
+        *_hysteresis_messages(full.point),
         *shaft_law.comb_message(data, [use.effect for use in full.point.placed]),
     )
     return replace(full, messages=(*notes, *full.messages), masses=masses)
+
+
+def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
+    """A message for each place where a law that remembers acts beside one whose tangent fluctuates much."""
+    out = []
+    for i, place in enumerate(point.data.places):
+        own = [u.effect.name for u in point.placed if i in u.at and has_nonlinear_memory(u, point.lin[i])]
+        here = point.fluctuations[i]
+        if own and here is not None and here.total[0].std() > MAX_TANGENT_SD_REL * point.kL[i]:
+            text = f"{place}: {own[0]} beside a strongly nonlinear law: its numbers may be off by some per cent"
+            out.append(Message("hysteresis_uncorrected", text, place))
+    return tuple(out)
 
 
 def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:

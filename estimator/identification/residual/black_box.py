@@ -27,7 +27,6 @@ from estimator.likelihood.path.subproblem import (
 )
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.fluctuation import Fluctuation
-from estimator.likelihood.response.impulse_probe import Probe
 from estimator.likelihood.response.regressor_set import tangent_response
 
 from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
@@ -350,7 +349,7 @@ def with_known_response(problem: Subproblem) -> Subproblem:
 
 
 def _group_tangents(
-    point: WorkingPoint, i: int, group: RegressorGroup, here: Fluctuation | Probe | None, orders: tuple[float, ...],
+    point: WorkingPoint, i: int, group: RegressorGroup, here: Fluctuation | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Complexes:  # fmt: skip
     """(columns, places, places, bins) tangent of a group per unit. here : for second-order corrections."""

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.response.fluctuation import Fluctuation
-from estimator.likelihood.response.impulse_probe import Probe
 
 
 def legendre_in_time(t: Array, first: float, last: float) -> tuple[Array, Array]:
@@ -26,7 +25,7 @@ def shaft_waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.floa
 
 
 def second_order_tangents(
-    name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None, orders: tuple[float, ...],
+    name: str, here: Fluctuation, sizes: Array, knots: Array | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Iterator[Complexes]:  # fmt: skip
     """(bins,) N/m correction of each regressor of a group, in its order; nothing for groups without a correction.

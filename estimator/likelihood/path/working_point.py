@@ -14,7 +14,6 @@ from estimator.likelihood.motion.known_spectra import shaft_response
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
 from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord, leading_blocks
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
-from estimator.likelihood.response.impulse_probe import Probe
 from estimator.likelihood.response.modal_response import ModalResponse, modal_responses
 from estimator.likelihood.response.regressor_set import (
     Regressor,
@@ -73,7 +72,7 @@ class WorkingPoint:
     prior_information: Array
     A: Complexes
     mean_tangent: Array
-    fluctuations: tuple[Fluctuation | Probe | None, ...]
+    fluctuations: tuple[Fluctuation | None, ...]
     spans: Spans
     units: UnitRegressors
 
@@ -232,7 +231,7 @@ def point_at(
     )
 
 
-def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | Probe | None]) -> Complexes:
+def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | None]) -> Complexes:
     """(bins, places) kg: what the fluctuating tangents of the laws at a place add to A (bins, places, places)."""
     out = np.zeros(A.shape[:2], complex)
     for i, here in enumerate(around):
@@ -247,8 +246,8 @@ def _modal_responses(
 ) -> list[ModalResponse]:
     """Modal response of each place.
 
-    Laws with memory at other places count as a stiffness and a damping: those of their mean response at the resonance
-    there. made : regressors of each law. lin : (places, 3) m, kL, c.
+    Laws with memory count as a stiffness and a damping: those of their mean response at the resonance there.
+    made : regressors of each law. lin : (places, 3) m, kL, c.
     """
     linear = [
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
@@ -266,12 +265,8 @@ def _modal_responses(
                     memory_tangent[i] += response.real, response.imag / (2 * np.pi * data.f_hz[at])
     if not memory_tangent.any():
         return list(bare)
-    out = []
-    for i in range(len(data.places)):
-        others = np.where(np.arange(len(memory_tangent)) == i, 0.0, memory_tangent.T).T
-        there = D + np.eye(len(D))[..., None] * others[:, None]
-        out.append(modal_responses(data.mass, there, data.places, data.disc, linear)[i])
-    return out
+    there = D + np.eye(len(D))[..., None] * memory_tangent[:, None]
+    return list(modal_responses(data.mass, there, data.places, data.disc, linear))
 
 
 def _all_regressors(
@@ -286,13 +281,11 @@ def _all_regressors(
 def _corrected_as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> list[Regressor]:
     """The regressors of a law on part of a record, with the second-order correction of the whole record.
 
-    That of a law with memory is computed anew: residual force and determinant must have the same values.
+    A law with memory has none: its response is that of its present values.
     """
     known = {t.name: t.memory for t in longer.regressors}
     there = [t for t in own if t.name in known]
-    if any(has_nonlinear_memory(use, longer.lin[i]) and longer.fluctuations[i] is not None for i in use.at):
-        return with_second_order(there, use, longer.fluctuations)
-    return [replace(t, memory=known[t.name]) for t in there]
+    return there if use.effect.kind == "memory" else [replace(t, memory=known[t.name]) for t in there]
 
 
 def _prior_information(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:

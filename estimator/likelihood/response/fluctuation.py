@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, needs_finer_grid, tangent_series
-from estimator.likelihood.motion.memory_law import FINE_GRID_FACTOR
+from estimator.likelihood.motion.located_law import LocatedLaw, needs_finer_grid, tangent_series
 from estimator.likelihood.motion.motion_record import MotionRecord, decimated_record, leading_blocks, oversampled
 from estimator.parallel import map_threads
 
-from .impulse_probe import MIN_RECORD_S, RECORD_SHARE, Probe, probed
 from .modal_response import ModalResponse
 from .self_energy import (
     COVARIANCE_DECAYS,
@@ -50,10 +48,6 @@ class Fluctuation:
         """(bins,) N/m, self-energy per unit of parameter k if that is the only amplitude of the only law; else None."""
         amplitudes = [j for j, q in enumerate(placed.effect.parameters) if q.linear]
         return self.whole / placed.p[k] if placed is self.only and amplitudes == [k] and placed.p[k] else None
-
-    def of_memory(self, placed: LocatedLaw, p: Array) -> Complexes | float:
-        """Self-energy of a law with memory: 0, as it is corrected together with such laws only."""
-        return 0.0
 
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit, self-energy of a law with tangents (2, n) along x and v on `data`."""
@@ -93,16 +87,16 @@ def fluctuations(
     uses: Sequence[LocatedLaw],
     mean: Sequence[ModalResponse],
     lin: Array,
-) -> tuple[Fluctuation | Probe | None, ...]:
+) -> tuple[Fluctuation | None, ...]:
     """Fluctuation at every place; None without a law, or where the laws are too strong for the second order.
+
+    A law that remembers has no tangent at an instant: it counts by its mean response only.
 
     uses : laws at the working point. mean : modal response of each place, with the mean tangents of memoryless laws.
     lin : (places, 3) m, kL, c.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
-    remembering = [[u for u in uses if i in u.at and has_nonlinear_memory(u, lin[i])] for i in range(len(mean))]
-    used = [i for i, laws in enumerate(own) if laws and mean[i].sound and not remembering[i]]
-    probing = [i for i, laws in enumerate(remembering) if laws and mean[i].sound]
+    used = [i for i, laws in enumerate(own) if laws and mean[i].sound]
     part = (
         leading_blocks(data, max(mean[i].seconds(MIN_COVARIANCE_S, COVARIANCE_DECAYS) for i in used)).in_one()
         if used
@@ -110,16 +104,9 @@ def fluctuations(
     )
     if any(needs_finer_grid(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = oversampled(part)
-    path = (
-        oversampled(leading_blocks(data, max(MIN_RECORD_S, RECORD_SHARE * data.seconds)), FINE_GRID_FACTOR)
-        if probing
-        else data
-    )
     dt = 1.0 / part.rate_hz
 
-    def at(i: int) -> Fluctuation | Probe | None:
-        if i in probing:
-            return probed(path, data.f_hz, i, [u for u in uses if i in u.at], mean[i], lin[i])
+    def at(i: int) -> Fluctuation | None:
         if i not in used:
             return None
         total = tangent_series(own[i][0], part, i, own[i][0].p)

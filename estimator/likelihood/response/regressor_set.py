@@ -23,7 +23,6 @@ from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
 from estimator.parallel import map_threads
 
 from .fluctuation import Fluctuation
-from .impulse_probe import Probe
 
 T = TypeVar("T")
 MIN_SEARCHED_STEP_REL = 0.1  # of a searched parameter of a law with memory; less meets few kinks of its response
@@ -90,29 +89,19 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
 
 
 def with_second_order(
-    made: list[Regressor], placed: LocatedLaw, fluctuations: Sequence[Fluctuation | Probe | None]
+    made: list[Regressor], placed: LocatedLaw, fluctuations: Sequence[Fluctuation | None]
 ) -> list[Regressor]:
     """Regressors of a law with the second-order correction of their mean response. fluctuations : by place."""
-    if placed.effect.kind == "shaft" or not any(fluctuations[i] for i in placed.at):
+    if placed.effect.kind != "force" or not any(fluctuations[i] for i in placed.at):
         return made
     numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
-
-    def remembering(i: int, p: Array) -> Complexes | float:
-        here = fluctuations[i]
-        return 0.0 if here is None else here.of_memory(placed, p)
-
-    at = _once(remembering)
     out = []
     for term in made:
         memory, k = dict(term.memory), numbers[term.name]
         for i in placed.at:
             if (here := fluctuations[i]) is not None:
                 ends = _ends(placed, k, here.data)
-                if placed.effect.kind == "memory":
-                    own = _summed(w * at(i, p) for p, w in ends)
-                elif isinstance(here, Fluctuation) and (known := here.per_unit(placed, k)) is not None:
-                    own = known
-                else:
+                if (own := here.per_unit(placed, k)) is None:
                     own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
                 memory[i] = memory.get(i, 0.0) - own_response(own, i, here.data)
         out.append(replace(term, memory=memory))

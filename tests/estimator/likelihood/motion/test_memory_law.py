@@ -12,15 +12,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response, stacked_states
-from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import point_on_part
-from estimator.likelihood.response import impulse_probe
-from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
-from estimator.likelihood.response.impulse_probe import Probe, probed
-from estimator.likelihood.response.modal_response import modal_responses, single_mass_response
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
 
@@ -121,59 +114,6 @@ def test_laws_together_are_each_on_its_own() -> None:
     assert both.step[7] @ [*z, *motion] == pytest.approx(np.concatenate(apart))
     force = [q.force[7] @ [*own, *motion] for q, own in zip((laws[0], laws[1]), (z[:1], z[1:]), strict=True)]
     assert both.force[7] @ [*z, *motion] == pytest.approx(sum(force))
-
-
-@pytest.mark.slow
-def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() -> None:
-    rig = one_bearing()
-    y = record(rig, "quadratic_damping", 0.06, seed=5, seconds=20.0)
-    model = replace(rig, effects=(*rig.effects, EffectUse("quadratic_damping", {p: {} for p in rig.places})))
-    data = prepare(model, y, RATE)
-    point = fit_model(data, located_laws(model, data))
-    mean = modal_responses(data.mass, point.mean_tangent, data.places, data.disc)
-    known = fluctuations(data, point.placed, mean, point.lin)[0]
-    idle = LocatedLaw(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
-    sent = fluctuations(data, [*point.placed, idle], mean, point.lin)[0]
-    assert isinstance(known, Fluctuation)
-    assert isinstance(sent, Probe)
-    weight = np.abs(sent.G) ** 2
-    assert np.linalg.norm(weight * (sent.whole - known.whole)) < 0.15 * np.linalg.norm(weight * known.whole)
-    near = slice(int(np.searchsorted(data.f_hz, 900.0)), int(np.searchsorted(data.f_hz, 1300.0)))
-    assert abs((sent.whole - known.whole)[near].mean()) < 0.1 * abs(known.whole[near].mean())
-
-
-def test_an_answer_may_have_any_number_of_lags() -> None:
-    """Twice a multiple of its series, which are between 16 and 48 beside a disc that rings longer than the cap."""
-    rig = one_bearing()
-    data = prepare(rig, record(rig, "quadratic_damping", 0.06, seed=5, seconds=4.0), RATE)
-    lin = np.array([0.2, 9e6, 60.0])
-    cap = single_mass_response(0.2, 60.0, 9e6)
-    idle = LocatedLaw(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
-    taken = set()
-    for slower in (1.4, 1.7, 2.0, 2.3):
-        disc = complex(cap.poles[0].real / slower, 2 * np.pi * 300.0)
-        mean = replace(cap, poles=np.append(cap.poles, disc), residues=np.append(cap.residues, 0.2 * cap.residues))
-        sent = probed(data, data.f_hz, 0, [idle], mean, lin)
-        assert isinstance(sent, Probe)
-        assert np.isfinite(sent.whole).all()
-        taken.add(sent.lags % 8)
-    assert taken != {0}
-
-
-def test_answers_do_not_depend_on_the_pieces_they_are_followed_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An impulse that was due where a piece began was not sent: of a record of 60 s whose lags were three pieces every
-    third was missing, the fit leapt by eight standard deviations, and a force of nothing won 186 nats."""
-    rig = one_bearing()
-    data = prepare(rig, record(rig, "quadratic_damping", 0.06, seed=5, seconds=4.0), RATE)
-    lin = np.array([0.2, 9e6, 60.0])
-    law = LocatedLaw(BOUC_WEN, "law", (0,), np.array([9e5, 2.0 * data.rms[0, 0]]), (True, True))
-    mean = single_mass_response(0.2, 60.0, 9e6)
-    whole = probed(data, data.f_hz, 0, [law], mean, lin)
-    assert isinstance(whole, Probe)
-    monkeypatch.setattr(impulse_probe, "ROWS_PER_PIECE", whole.lags)
-    pieces = probed(data, data.f_hz, 0, [law], mean, lin)
-    assert isinstance(pieces, Probe)
-    assert np.linalg.norm(pieces.whole - whole.whole) < 1e-3 * np.linalg.norm(whole.whole)
 
 
 @pytest.mark.slow
