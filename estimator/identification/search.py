@@ -15,7 +15,6 @@ from estimator.parallel import map_threads
 
 from .finding import Finding, effect_use
 from .machine.lines import find_lines
-from .structure.coupled_caps import find_coupled_sensor_faults
 from .structure.spectral_shape import find_spectral_shapes
 from .structure.transfer_faults import find_transfer_faults
 
@@ -43,12 +42,7 @@ def _transfer_faults(model: Model, point: WorkingPoint, y: Array, found: Sequenc
     return find_transfer_faults(model, point, harmonics.known_lines(_with_findings(model, found)))
 
 
-def _coupled_sensor_faults(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
-    """Sensor gains and delays that two caps on one shaft reveal."""
-    return find_coupled_sensor_faults(model, point)
-
-
-DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults, _coupled_sensor_faults)
+DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults)
 
 
 def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:

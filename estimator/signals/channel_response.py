@@ -19,7 +19,7 @@ from estimator.parallel import map_threads
 
 # sensor faults that are a linear response
 RESPONSE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.channel_response is not None)
-# identifiable beside a measured force or on coupled bearing caps only
+# identifiable beside a measured force only
 GAIN_AND_DELAY = tuple(n for n in RESPONSE_EFFECTS if CATALOGUE[n].flat_magnitude)
 SHAPE_PARAMETERS = {
     name: tuple(q.name for q in e.parameters) for name, e in CATALOGUE.items() if e.spectral_factor is not None

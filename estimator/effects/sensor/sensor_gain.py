@@ -43,7 +43,10 @@ SENSOR_GAIN = Effect(
     ),
     reference="ISO 16063-21, calibration by comparison with a reference transducer",
     check="rms of the channel changes by 1 + error exactly",
-    on_machine="sensitivity typed wrongly, loose mounting, a swapped or inverted cable: shake it with a calibrator",
+    on_machine=(
+        "sensitivity typed wrongly, loose mounting, a swapped or inverted cable: shake it with a calibrator; it is "
+        "found beside a measured force only, and undone where the rig file gives it"
+    ),
     apply=apply,
     found_by="spectrum",
     channel_response=channel_response,

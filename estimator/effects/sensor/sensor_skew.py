@@ -47,7 +47,8 @@ SENSOR_SKEW = Effect(
     reference="Bendat and Piersol, Random Data, 4th ed., Wiley 2010 (multiplexed sampling)",
     check="phase of the cross spectrum with the undelayed signal is -2 pi f delay",
     on_machine=(
-        "multiplexed converter, other filter setting or firmware of one channel, two devices without a common clock"
+        "multiplexed converter, other filter setting or firmware of one channel, two devices without a common clock; "
+        "it is found beside a measured force only, and undone where the rig file gives it"
     ),
     apply=apply,
     found_by="spectrum",

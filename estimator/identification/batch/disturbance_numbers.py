@@ -178,9 +178,9 @@ def _bow_of_imbalance(model: Model, imbalances: list[dict[str, Parameter]]) -> d
 
 
 def _not_found(blind: bool, q: EffectParameter) -> Parameter:
-    """A parameter without a value. blind : because weakly coupled bearings do not identify it."""
+    """A parameter without a value. blind : because only a measured force identifies it."""
     if blind:
-        why = "the bearings are too weakly coupled to identify it: measure the force, or give it with fixed = true"
+        why = "only a measured force identifies it: calibrate the sensor and give the number, or measure the force"
     else:
         why = harmonics.NOT_IDENTIFIABLE_TEXT
     return Parameter(None, None, q.unit, identifiable=False, reason=why)

@@ -18,7 +18,6 @@ from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.search import search
 from estimator.identification.structure import (
-    coupled_caps,
     spectral_models,
     spectral_shape,
     transfer_bias,
@@ -54,8 +53,7 @@ SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     if e.found_by in ("spectrum", "coherence", "samples") and e.kind != "memory" and not e.flat_magnitude
 )
 MAX_TANGENT_SD_REL = 0.1  # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
-MIN_RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
-MAX_RESOLVING_ROUNDS = 6  # while sensor faults at weakly coupled bearing caps still move
+RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +200,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
     )
     point = fit_record(model, prepare(model, y, rate_hz))
     shape_names = {u.name for u in uses if u.name in FORCE_SHAPES}
-    for _ in range(MIN_RESOLVING_ROUNDS if shape_names else 0):  # shapes and laws distort each other
+    for _ in range(RESOLVING_ROUNDS if shape_names else 0):  # shapes and laws distort each other
         shape = excitation_shapes(bare, point.data.places, point.data.f_hz, FORCE_SHAPES)
         flat = replace(point, data=replace(point.data, excitation_shape=shape))
         renewed, found_again = with_resolved_parameters(
@@ -212,20 +210,14 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
             break
         model, found = renewed, found | found_again
         point = fit_record(model, prepare(model, y, rate_hz))
-    for done in range(
-        MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses) else 0
-    ):
+    refines = any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses)
+    for _ in range(RESOLVING_ROUNDS if refines else 0):
         model, of_transfer = transfer_bias.refine_sensor_faults(model, point)
-        model, of_caps = coupled_caps.refined(model, point)
         model, refined_now = harmonic_fit.settle_harmonics(model, point)
-        refined_now |= of_transfer | of_caps
-        # a delay that is far from its value is not linear
-        last = done + 1 >= MIN_RESOLVING_ROUNDS and not parameters_have_moved(found, of_caps)
+        refined_now |= of_transfer
         found |= refined_now
         if refined_now:
             point = fit_record(model, prepare(model, y, rate_hz))
-        if last:
-            break
     messages = _several_lines_message(model, further)
     return FullFit(model, point, found | _coloured_levels(model, found, point), messages)
 

@@ -136,5 +136,5 @@ def _reason_not_estimated(effect: Effect, missing: list[str]) -> str:
     if effect.name in PERIODIC_EFFECTS:
         return f"as it rolls its lines are left out: {FIT_HINT}"
     if effect.name in GAIN_AND_DELAY:
-        return "bearings that hardly feel each other say nothing of it: give it"
+        return "only a calibration or a measured force says it: give it"
     return f"not estimated as it rolls: {FIT_HINT}"
