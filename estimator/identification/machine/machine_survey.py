@@ -25,11 +25,14 @@ class ShaftSpeed:
         Standard deviation of `value_rpm`; of a speed from the rig file, the usual deviation from a nameplate.
     source : {"tacho", "record", "rig file"}
         "record": from the harmonics of the shaft in the spectra of the channels.
+    wander_rel : float
+        Standard deviation of the speed along the record over its mean.
     """
 
     value_rpm: float
     sd_rpm: float
     source: SpeedSource
+    wander_rel: float = 0.0
 
     @property
     def hz(self) -> float:

@@ -38,8 +38,8 @@ class LevelSpectrum:
     ----------
     seconds : float
         Length of a piece; bin k is at k / seconds Hz.
-    count : int
-        Pieces.
+    count : float
+        Pieces; of a spectrum averaged over bins too, independent values in a bin.
     power : (bins,) float64
         Squared peak amplitude of a tone at the bin, averaged over the pieces.
     noise : (bins,) float64
@@ -49,7 +49,7 @@ class LevelSpectrum:
     """
 
     seconds: float
-    count: int
+    count: float
     power: Array
     noise: Array
     mean_log: Array
@@ -104,7 +104,7 @@ def _level(pieces: Pieces, size: int) -> LevelSpectrum:
     )
 
 
-def local_noise(power: Array, count: int) -> Array:
+def local_noise(power: Array, count: float) -> Array:
     """(bins,) noise about each bin: the larger of the mean of its near neighbours and the median further about it.
 
     count : of spectra whose average the power is.

@@ -24,13 +24,19 @@ SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
 NAMEPLATE_REACH_REL = 0.03  # about the given speed: slip of an induction motor between no load and overload
 NAMEPLATE_SD_REL = 0.01  # of a given speed that the record does not confirm: usual slip
 CONTRADICTION_REL = 0.02  # between the record and the rig file, from which it is said: beyond the usual slip
-MAX_HARMONICS = 6
+HARMONIC_COUNTS = (1, 3, 6)  # of the combs that are tried
+MAX_HARMONICS = HARMONIC_COUNTS[-1]
 MAX_HARMONIC_NATS = 20.0  # that one harmonic may contribute: one line is no comb
 MAX_FALSE_SPEED_CHANCE = 1e-4
 MIN_FREE_HZ, MAX_FREE_HZ = 5.0, 500.0  # of a shaft that nothing is known of: 300 to 30 000 rpm
 MIN_FREE_HARMONICS = 3  # clear ones, the first among them
 CLEAR_HARMONIC_NATS = 10.0
-LINE_SD_BINS = 0.3  # of the frequency of a line
+LINE_SD_BINS = 0.2  # of the frequency of a line
+LINE_TOLERANCE_BINS = 0.25  # between a line and a harmonic; the supply of a motor is near an order and no order
+WANDER_REACH_REL = 0.03  # about the mean speed within which the speed wanders
+WANDER_POWER_RATIO = 8.0  # over the noise of a bin that belongs to the line of an order
+HANN_LINE_VARIANCE_BINS = 1.0 / 3.0  # of a steady line under a Hann window, bins^2
+GRID_STEP_BINS = 0.2  # of the highest harmonic from one trial speed to the next
 
 
 def shaft_speed(
@@ -50,7 +56,9 @@ def shaft_speed(
     near = _comb(spectra, given * (1 - NAMEPLATE_REACH_REL), given * (1 + NAMEPLATE_REACH_REL), free=False)
     if near is not None:
         hz, sd = near
-        return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="record"), _contradiction(hz, sd, given)
+        wander = _wander(spectra, hz)
+        speed = ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="record", wander_rel=wander)
+        return speed, _contradiction(hz, sd, given)
     speed = ShaftSpeed(value_rpm=60 * given, sd_rpm=60 * given * NAMEPLATE_SD_REL, source="rig file")
     other = _comb(spectra, MIN_FREE_HZ, MAX_FREE_HZ)
     if other is not None and not _is_simple_ratio(other[0] / given):
@@ -83,7 +91,11 @@ def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
     rows = max(1, min(int(rate_hz), (phase.size - 1) // 4))
     local = np.diff(phase[::rows]) * rate_hz / rows / (2 * np.pi)
     hz = float(phase[-1] - phase[0]) / (2 * np.pi) * rate_hz / (phase.size - 1)
-    return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * float(local.std()), source="tacho") if hz > 0 else None
+    if hz <= 0.0:
+        return None
+    sd = hz * rows / phase.size  # of half a pulse at either end, at most
+    wander = float(local.std()) / hz
+    return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * min(sd, 0.1 * hz), source="tacho", wander_rel=wander)
 
 
 def _comb(
@@ -107,42 +119,54 @@ def _comb(
 def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: bool) -> tuple[float, float, float] | None:
     """log p, Hz and sd (Hz) of the clearest fundamental at one resolution of several channels."""
     seconds = levels[0].seconds
-    nats = _nats(levels)
-    top = (nats.size - 4) / seconds
-    step = 0.5 / (MAX_HARMONICS * seconds)
-    grid = np.arange(max(low, 4.0 / seconds), min(high, top), step)
-    if not grid.size:
+    peaks_hz, nats = _peaks(levels)
+    top = min(level.power.size for level in levels) / seconds
+    grid = np.arange(max(low, 4.0 / seconds), min(high, top), GRID_STEP_BINS / (MAX_HARMONICS * seconds))
+    if not grid.size or not peaks_hz.size:
         return None
     k = np.arange(1, MAX_HARMONICS + 1)
-    at = np.rint(np.outer(grid, k) * seconds).astype(np.intp)
-    there = at < nats.size - 3
-    own = np.where(there, nats[np.minimum(at, nats.size - 1)], 0.0)
-    count = there.sum(axis=1)
-    total = own.sum(axis=1)
+    wanted = np.outer(grid, k)
+    nearest = np.clip(np.searchsorted(peaks_hz, wanted), 1, peaks_hz.size - 1) if peaks_hz.size > 1 else wanted * 0
+    nearest = nearest.astype(np.intp)
+    nearest -= (np.abs(wanted - peaks_hz[nearest - 1]) < np.abs(wanted - peaks_hz[nearest])).astype(np.intp)
+    off = np.abs(wanted - peaks_hz[nearest]) * seconds / LINE_TOLERANCE_BINS
+    own = nats[nearest] * np.maximum(1.0 - off**2, 0.0)
     clear = own > CLEAR_HARMONIC_NATS
-    several = clear[:, 0] & (clear.sum(axis=1) >= MIN_FREE_HARMONICS)
-    shaft = several if free else clear[:, 0] | (clear[:, 1] & clear[:, 2])  # high orders alone may be of anything
-    total = np.where(shaft, total, 0.0)
-    score = np.log(np.maximum(gammaincc(count, total), 1e-300)) + np.log(grid.size)
-    i = int(np.argmin(score - 1e-6 * total))
+    first = clear[:, 0]
+    if free:
+        shaft = first & (clear.sum(axis=1) >= MIN_FREE_HARMONICS)
+    else:  # multiples of a motor's supply lie near orders 2 and 3; high orders alone may be of anything
+        shaft = first if first.any() else clear[:, 1] & clear[:, 2]
+    tried = np.array(HARMONIC_COUNTS) - 1
+    count, total = np.cumsum(wanted < top, axis=1)[:, tried], np.cumsum(own, axis=1)[:, tried]
+    p = gammaincc(np.maximum(count, 1), np.where(shaft[:, None], total, 0.0)).min(axis=1)
+    score = np.log(np.maximum(p, 1e-300)) + np.log(grid.size * len(HARMONIC_COUNTS))
+    i = int(np.argmin(score - 1e-6 * total[:, -1]))
     if score[i] > 0:
         return None
-    hz, sd = _refined(levels, grid[i], k[: count[i]][own[i, : count[i]] > CLEAR_HARMONIC_NATS])
+    hz, sd = _refined(peaks_hz[nearest[i, clear[i]]], k[clear[i]], seconds)
     return float(score[i]), hz, sd
 
 
-def _nats(levels: Sequence[LevelSpectrum]) -> Array:
-    """(bins,) nats against noise at each bin in the channel that shows it best, capped, the channels paid for.
+def _peaks(levels: Sequence[LevelSpectrum]) -> tuple[Array, Array]:
+    """Frequencies (Hz, rising) of peaks in the channel that shows each best, and their nats, capped, channels paid for.
 
     Multiples of the mains, of the grid that shows more of them, are left out.
     """
-    size = min(level.power.size for level in levels)
-    log_p = np.min([level.log_p(np.arange(size)) for level in levels], axis=0) + np.log(len(levels))
-    nats = np.clip(-log_p, 0.0, MAX_HARMONIC_NATS)
+    size, seconds = min(level.power.size for level in levels), levels[0].seconds
+    log_p = np.array([level.log_p(np.arange(size)) for level in levels])
+    nats = np.clip(-log_p.min(axis=0) - np.log(len(levels)), 0.0, MAX_HARMONIC_NATS)
     nats[:3] = 0.0
-    grids = [_bins_at_mains(mains, levels[0].seconds, nats.size) for mains in MAINS_HZ]
+    grids = [_bins_at_mains(mains, seconds, size) for mains in MAINS_HZ]
     nats[max(grids, key=lambda bins: float(nats[bins].sum()))] = 0.0
-    return np.asarray(nats)
+    bins = np.arange(2, size - 2)
+    best = np.argmin(log_p[:, bins], axis=0)
+    power, noise = (np.array([getattr(level, name)[:size] for level in levels]) for name in ("power", "noise"))
+    lobe = bins[:, None] + np.arange(-2, 3)
+    over = np.maximum(power[best[:, None], lobe] - noise[best, bins][:, None], 0.0)
+    peak = (nats[bins] > 0.0) & (over[:, 2] >= over.max(axis=1))
+    bins, over, lobe = bins[peak], over[peak], lobe[peak]
+    return (over * lobe).sum(axis=1) / over.sum(axis=1) / seconds, nats[bins]
 
 
 def _bins_at_mains(mains: float, seconds: float, size: int) -> NDArray[np.intp]:
@@ -153,22 +177,32 @@ def _bins_at_mains(mains: float, seconds: float, size: int) -> NDArray[np.intp]:
     return bins[(bins >= 0) & (bins < size)].astype(np.intp)
 
 
-def _refined(levels: Sequence[LevelSpectrum], hz: float, orders: NDArray[np.intp]) -> tuple[float, float]:
-    """The fundamental (Hz) by the centroids of its clear harmonics, and its standard deviation."""
-    seconds = levels[0].seconds
-    if not len(orders):
-        return hz, LINE_SD_BINS / seconds
-    centres = []
-    for k in orders:
-        at = int(round(k * hz * seconds))
-        level = max(levels, key=lambda level: level.power[at] / level.noise[at])
-        lobe = np.arange(at - 2, at + 3)
-        power = np.maximum(level.power[lobe] - level.noise[lobe], 0.0)
-        centres.append(float(lobe @ power / power.sum()) / seconds if power.any() else k * hz)
-    f, k = np.array(centres), np.asarray(orders, float)
-    found = float(k @ f / (k @ k))
-    misfit = float(np.sqrt(np.mean((f - k * found) ** 2)))
+def _refined(lines_hz: Array, orders: NDArray[np.intp], seconds: float) -> tuple[float, float]:
+    """The fundamental (Hz) by lines (Hz) at some orders, and its standard deviation."""
+    k = orders.astype(np.float64)
+    found = float(k @ lines_hz / (k @ k))
+    misfit = float(np.sqrt(np.mean((lines_hz - k * found) ** 2)))
     return found, max(LINE_SD_BINS / seconds, misfit) / float(np.sqrt(k @ k))
+
+
+def _wander(spectra: Mapping[str, Sequence[LevelSpectrum]], hz: float) -> float:
+    """Relative standard deviation of the speed along the record: the width of the first order where it is clearest.
+
+    hz : mean speed. Lines of the supply lie near higher orders. 0 where the first order is not clear.
+    """
+    clearest, found = WANDER_POWER_RATIO, 0.0
+    for levels in spectra.values():
+        fine = levels[0]
+        reach = max(WANDER_REACH_REL * hz * fine.seconds, 4.0)
+        bins = np.arange(int(hz * fine.seconds - reach), int(hz * fine.seconds + reach) + 2)
+        bins = bins[(bins > 0) & (bins < fine.power.size)]
+        ratio = fine.power[bins] / fine.noise[bins]
+        if ratio.max(initial=0.0) > clearest:
+            over = np.where(ratio > WANDER_POWER_RATIO, fine.power[bins], 0.0)
+            off = bins - over @ bins / over.sum()
+            variance = float(over @ off**2 / over.sum()) - HANN_LINE_VARIANCE_BINS
+            clearest, found = float(ratio.max()), float(np.sqrt(max(variance, 0.0))) / (hz * fine.seconds)
+    return found
 
 
 def _is_simple_ratio(ratio: float) -> bool:

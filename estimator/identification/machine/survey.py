@@ -14,6 +14,7 @@ from .machine_survey import MachineSurvey, Tone
 from .pieces import Pieces
 from .spectra import level_spectra
 from .speed import shaft_speed
+from .strikes import find_strikes
 from .tones import significant_lines, tones_of
 
 MAX_TONES_SHOWN = 10
@@ -61,9 +62,12 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: ChannelsSurve
         spectra[name] = level_spectra(pieces)
         rms[name] = float(np.nanstd(y[:, i]))
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
+    strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
     tones = tones_of(significant_lines(spectra), speed, units, rms)
     shown, more = _shown(tones)
-    return MachineSurvey(speed=speed, tones=shown, messages=(*messages, *remarks, *more))
+    return MachineSurvey(
+        speed=speed, tones=shown, strikes=tuple(strikes), messages=(*messages, *remarks, *struck, *more)
+    )
 
 
 def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:

@@ -1,0 +1,212 @@
+"""Combs of lines in the spectra of squared envelopes, and the chance that noise has them.
+
+Under noise alone the nats of a line, minus the logarithm of its chance, are exponentially distributed; the nats of a
+comb of n lines are gamma distributed with n degrees. One line may contribute only so much: one line is no comb.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.special import gammaincc, gammaln
+
+from estimator.arrays import Array
+
+from .envelope import EnvelopeSpectrum
+from .spectra import HANN_BIN_CORRELATION, LevelSpectrum, local_noise
+
+LINE_WIDTHS_BINS = (1, 4, 16)  # strikes that slip have wide lines
+HARMONIC_COUNTS = (2, 3, 5, 8)  # of the combs that are tried
+MAX_LINE_NATS = 20.0  # that one line may contribute
+CLEAR_LINE_NATS = 8.0
+MIN_CLEAR_HARMONICS = 2
+LOWEST_BINS = 3  # next to 0 Hz, where the window spreads the mean
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineTable:
+    """Nats of every bin of one envelope spectrum for lines of one width.
+
+    Parameters
+    ----------
+    channel : str
+        Name.
+    spectrum : EnvelopeSpectrum
+        Of one band of the channel.
+    width : int
+        Bins of a line.
+    level : LevelSpectrum
+        The spectrum averaged over the width, with its local noise.
+    nats : (bins,) float64
+        Against noise; 0 in bins that are left out.
+    usable : (bins,) bool
+        False in bins at orders of the shaft and at the mains.
+    """
+
+    channel: str
+    spectrum: EnvelopeSpectrum
+    width: int
+    level: LevelSpectrum
+    nats: Array
+    usable: NDArray[np.bool_]
+
+    def bins_at(self, hz: Array) -> NDArray[np.intp]:
+        """Nearest bins of some frequencies, Hz; beyond the last bin: its number."""
+        return np.minimum(np.rint(hz * self.spectrum.seconds), self.nats.size).astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comb:
+    """The clearest comb of a search in one table.
+
+    hz : fundamental. log_p : of the table, its grid paid for. nats : of all its lines, without a bound. table : where.
+    """
+
+    hz: float
+    log_p: float
+    nats: float
+    table: LineTable
+
+
+def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided_hz: Array, avoided_sd_hz: Array) -> list[LineTable]:
+    """The tables of one spectrum for every width of a line.
+
+    avoided_hz, avoided_sd_hz : (k,) frequencies at which lines have another cause, and their standard deviations.
+    """
+    out = []
+    for width in LINE_WIDTHS_BINS:
+        if spectrum.power.size < 8 * width:
+            continue
+        count = max(1.0, spectrum.count * width / HANN_BIN_CORRELATION) if width > 1 else float(spectrum.count)
+        P = uniform_filter1d(spectrum.power, width, mode="nearest") if width > 1 else spectrum.power
+        noise = np.repeat(local_noise(P[width // 2 :: width], count), width)[: P.size]
+        noise = np.pad(noise, (0, P.size - noise.size), mode="edge")
+        random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
+        noise = np.maximum(noise, random)
+        level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise, mean_log=np.zeros(0))
+        usable = ~_avoided(P, spectrum.seconds, width, avoided_hz, avoided_sd_hz)
+        usable[:LOWEST_BINS] = False
+        nats = np.where(usable, -level.log_p(np.arange(P.size)), 0.0)
+        out.append(LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable))
+    return out
+
+
+def _avoided(P: Array, seconds: float, width: int, hz: Array, sd_hz: Array) -> NDArray[np.bool_]:
+    """(bins,) whether a bin belongs to a line at one of some frequencies, or to the flank of such a line."""
+    out = np.zeros(P.size + 2, bool)
+    reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)  # under a box a line has no flanks to tell
+    for centre, r in zip(hz * seconds, reach, strict=True):
+        out[max(0, int(np.ceil(centre - r))) : max(0, int(centre + r) + 1)] = True
+    own = out[: P.size].copy()
+    for d in (1, 2):  # the flanks of a line under the window are lower than its peak
+        own[:-d] |= out[d : P.size] & (P[:-d] < P[d:])
+        own[d:] |= out[: P.size - d] & (P[d:] < P[:-d])
+    return own
+
+
+def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0, searched: float = 0.0) -> Comb | None:
+    """The clearest comb at some fundamentals; None where none has two clear harmonics, the first or second among them.
+
+    Parameters
+    ----------
+    table : LineTable
+        Of one band and line width.
+    fundamentals_hz : (g,) float64
+        Hz, tried one by one.
+    sideband_hz : float
+        Distance of sidebands that belong to the comb, Hz; 0 for none.
+    searched : float
+        Fundamentals that are paid for; 0: as many as are tried.
+    """
+    if not fundamentals_hz.size:
+        return None
+    nats = np.append(table.nats, 0.0)
+    usable = np.append(table.usable, False)
+    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
+    main = fundamentals_hz[:, None] * m
+    at = table.bins_at(main)
+    own, count = nats[at], usable[at].astype(np.int64)
+    clear = own > CLEAR_LINE_NATS
+    eligible = (clear.sum(axis=1) >= MIN_CLEAR_HARMONICS) & (clear[:, 0] | clear[:, 1])
+    if not eligible.any():
+        return None
+    total, bounded = own.copy(), np.minimum(own, MAX_LINE_NATS)
+    if sideband_hz:
+        for side in (main - sideband_hz, main + sideband_hz):
+            beside = table.bins_at(np.maximum(side, 0.0))
+            total += nats[beside]
+            bounded += np.minimum(nats[beside], MAX_LINE_NATS)
+            count += usable[beside]
+    pick = np.array(HARMONIC_COUNTS) - 1
+    sums, counts = np.cumsum(bounded, axis=1)[:, pick], np.cumsum(count, axis=1)[:, pick]
+    log_p = np.where(counts > 0, log_gamma_tail(np.maximum(counts, 1), sums), 0.0).min(axis=1)
+    log_p = np.where(eligible, log_p, 0.0)
+    everything = total.sum(axis=1)
+    i = int(np.argmin(log_p - 1e-4 * everything))
+    paid = np.log(max(searched, fundamentals_hz.size) * len(HARMONIC_COUNTS))
+    return Comb(hz=float(fundamentals_hz[i]), log_p=float(log_p[i] + paid), nats=float(everything[i]), table=table)
+
+
+def log_gamma_tail(n: NDArray[np.int64], x: Array) -> Array:
+    """Logarithm of the chance that a gamma variable with n degrees exceeds x; an upper bound where it is tiny."""
+    shape = n.astype(np.float64)
+    with_log = -x + (shape - 1.0) * np.log(np.maximum(x, 1e-9)) - gammaln(shape)
+    far = with_log - np.log1p(-np.minimum((shape - 1.0) / np.maximum(x, 1e-9), 0.9))
+    near = np.log(np.maximum(gammaincc(shape, np.minimum(x, 100.0)), 1e-60))
+    return np.asarray(np.where(x > np.maximum(60.0, 3.0 * shape), far, near))
+
+
+def clear_harmonics(comb: Comb) -> tuple[NDArray[np.intp], Array]:
+    """Numbers of the clear harmonics of a comb, and their depths of modulation (amplitudes less the noise)."""
+    table = comb.table
+    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
+    at = table.bins_at(np.asarray(comb.hz * m, dtype=np.float64))
+    m, at = m[at < table.nats.size], at[at < table.nats.size]
+    clear = table.nats[at] > CLEAR_LINE_NATS
+    return m[clear].astype(np.intp), np.sqrt([line_power(table, int(k)) for k in at[clear]])
+
+
+def line_power(table: LineTable, k: int) -> float:
+    """Squared depth of modulation of the line about bin k, less the noise."""
+    return float(_lobe(table, k)[1].sum() / HANN_BIN_CORRELATION)
+
+
+def refined_fundamental(comb: Comb) -> float:
+    """The fundamental (Hz) of a comb by the centroids of its clear harmonics."""
+    numbers, _ = clear_harmonics(comb)
+    centres: list[float] = []
+    for m in numbers:
+        bins, power = _lobe(comb.table, int(comb.table.bins_at(np.array([m * comb.hz]))[0]))
+        centres.append(float(bins @ power / power.sum()) / comb.table.spectrum.seconds if power.any() else m * comb.hz)
+    k = numbers.astype(np.float64)
+    return float(k @ np.array(centres) / (k @ k)) if numbers.size else comb.hz
+
+
+def _lobe(table: LineTable, k: int) -> tuple[Array, Array]:
+    """Bins of a line about bin k, and their powers over the noise."""
+    reach = 1 + table.width // 2
+    bins = np.arange(max(1, k - reach), min(k + reach + 1, table.nats.size))
+    return bins.astype(np.float64), np.maximum(table.spectrum.power[bins] - table.level.noise[bins], 0.0)
+
+
+def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> Array:
+    """Frequencies (Hz) of the clearest usable lines between two frequencies."""
+    first = max(LOWEST_BINS, int(np.ceil(low_hz * table.spectrum.seconds)))
+    last = min(int(high_hz * table.spectrum.seconds) + 1, table.nats.size - 1)
+    bins = np.arange(first, last)
+    if not bins.size:
+        return np.empty(0)
+    nats = table.nats
+    bins = bins[(nats[bins] > CLEAR_LINE_NATS) & (nats[bins] >= nats[bins - 1]) & (nats[bins] >= nats[bins + 1])]
+    bins = bins[np.argsort(-nats[bins])][:most]
+    return bins / table.spectrum.seconds
+
+
+def clearest(combs: Sequence[Comb | None]) -> Comb | None:
+    """The comb of the lowest chance; of several as sure, the one with the most nats."""
+    found = [c for c in combs if c is not None]
+    return min(found, key=lambda c: c.log_p - 1e-4 * c.nats) if found else None

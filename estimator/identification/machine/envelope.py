@@ -1,0 +1,134 @@
+"""Spectra of the squared envelope of one channel in a bank of bands.
+
+The channel is whitened first, so that each frequency counts by its signal-to-noise ratio and not by the resonances
+that it passes, and tones are bounded, so that two of them make no line at their difference. A line of the squared
+envelope at a is a sum of X(f + a) X*(f) over the band; of noise, whose phases are independent, it has the mean power
+sum |X(f + a)|^2 |X(f)|^2 and an exponential distribution, whatever the spectrum of the channel: a comb of narrow-band
+noises is no strike train. This is the mean over all surrogates with random phases.
+
+References
+----------
+Antoni, The spectral kurtosis, Mech. Syst. Signal Process. 20(2), 2006, 282-307 (bank of bands). Randall and Antoni,
+Rolling element bearing diagnostics - a tutorial, Mech. Syst. Signal Process. 25(2), 2011, 485-520.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import ifft, irfft, next_fast_len, rfft
+
+from estimator.arrays import Array
+
+from .pieces import Pieces
+
+MAX_PIECE_S = 20.0  # the phase of strikes that slip is lost within some seconds
+BANDS_PER_RATE = (1, 2, 3, 4, 6, 8, 12, 16, 24)  # bands that share the range up to half the rate, finest ones last
+MIN_BAND_OVER_HIGHEST = 0.25  # width of a band over the highest frequency asked for
+TOP_OF_NYQUIST = 0.94  # part of the range below half the rate that a recorder passes
+FLOOR_BLOCK_HZ, FLOOR_BLOCK_BINS = 20.0, 8  # of the floor that whitens: wider than a line, narrower than a mode
+TONE_NOISE_HZ = 10.0  # a tone counts no more than the noise in so many hertz
+MIN_TONE_RATIO = 9.0  # power over the floor that is never bounded: noise does not reach it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvelopeSpectrum:
+    """Spectrum of the squared envelope in one band.
+
+    Parameters
+    ----------
+    band_hz : (float, float)
+        Lower and upper edge, Hz.
+    seconds : float
+        Length of a piece; bin k is at k / seconds Hz.
+    count : int
+        Pieces.
+    power : (bins,) float64
+        Squared peak amplitude of a line of the squared envelope over the mean of the squared envelope, averaged over
+        the pieces: the square of a depth of modulation.
+    random : (bins,) float64
+        Mean of `power` under independent phases.
+    """
+
+    band_hz: tuple[float, float]
+    seconds: float
+    count: int
+    power: Array
+    random: Array
+
+
+def envelope_spectra(pieces: Pieces, highest_hz: float) -> list[EnvelopeSpectrum]:
+    """Spectra of the squared envelope up to a frequency in every band of the bank. pieces : of one channel."""
+    if not len(pieces):
+        return []
+    gain = _whitening(pieces)
+    edges = list(_bank(pieces, highest_hz))
+    sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
+    for group in pieces.groups():
+        for x in group:
+            X = (rfft(x) * gain).astype(np.complex64)
+            for total, (a, b) in zip(sums, edges, strict=True):
+                total += _squared_envelope_power(X[a:b], total.shape[1])
+    return [
+        EnvelopeSpectrum(
+            band_hz=(a / pieces.seconds, b / pieces.seconds),
+            seconds=pieces.seconds,
+            count=len(pieces),
+            power=total[0] / len(pieces),
+            random=total[1] / len(pieces),
+        )
+        for total, (a, b) in zip(sums, edges, strict=True)
+    ]
+
+
+def _bank(pieces: Pieces, highest_hz: float) -> Iterator[tuple[int, int]]:
+    """First bin and bin after the last of each band; a narrower band would smear the strikes of a fast train."""
+    top = int(TOP_OF_NYQUIST * 0.5 * pieces.size)
+    for parts in BANDS_PER_RATE:
+        edges = np.linspace(1, top, parts + 1).astype(int)
+        if parts == 1 or edges[1] - edges[0] >= MIN_BAND_OVER_HIGHEST * highest_hz * pieces.seconds:
+            yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+
+
+def _squared_envelope_power(X: NDArray[np.complex64], bins: int) -> Array:
+    """(2, bins) squared amplitudes of the lines of the squared envelope of a band, and their mean under random phases.
+
+    X : bins of the band.
+    """
+    n = next_fast_len(2 * X.size)
+    z = ifft(X, n)
+    envelope = z.real**2 + z.imag**2
+    window = np.hanning(n + 1)[:-1].astype(np.float32)
+    mean = max(float(envelope @ window) / float(window.sum()), 1e-30)
+    S = rfft((envelope / mean - 1.0) * window)[:bins]
+    power = S.real.astype(np.float64) ** 2 + S.imag.astype(np.float64) ** 2
+    products = rfft((X.real**2 + X.imag**2).astype(np.float64) / mean, n)
+    R = irfft(products.real**2 + products.imag**2, n)[: bins + 1] / float(n) ** 2
+    beside = np.concatenate([[R[1]], R[: bins - 1]]) + R[1 : bins + 1]
+    return np.array([power, 0.25 * R[:bins] + 0.0625 * beside]) * (2.0 / float(window.sum())) ** 2
+
+
+def _whitening(pieces: Pieces) -> Array:
+    """(bins,) factors that bring the noise in the spectrum of a piece to 1 and bound the lines."""
+    power = np.zeros(pieces.size // 2 + 1)
+    for group in pieces.groups():
+        X = rfft(group, axis=1)
+        power += (X.real**2 + X.imag**2).sum(axis=0)
+    power /= len(pieces)
+    floor = _floor(power, pieces.seconds)
+    bound = max(MIN_TONE_RATIO, TONE_NOISE_HZ * pieces.seconds) / len(pieces)
+    return np.asarray(1.0 / np.sqrt(np.maximum(floor, power / max(1.0, bound))))
+
+
+def _floor(power: Array, seconds: float) -> Array:
+    """(bins,) noise in a power spectrum: by medians of blocks, so without lines. seconds : one over a bin's width."""
+    block = max(FLOOR_BLOCK_BINS, int(FLOOR_BLOCK_HZ * seconds))
+    whole = power.size // block * block
+    if not whole:
+        return np.full(power.size, max(float(np.median(power)), 1e-60))
+    median = np.maximum(np.median(power[:whole].reshape(-1, block), axis=1), 1e-60)
+    centre = (np.arange(median.size) + 0.5) * block
+    return np.asarray(np.exp(np.interp(np.arange(power.size), centre, np.log(median))))

@@ -1,0 +1,241 @@
+"""Strike trains of a rolling bearing: combs of lines in the squared envelope at the bearing's kinematic orders.
+
+A defect of the outer ring strikes at BPFO, one of the inner ring at BPFI with sidebands at the shaft speed, as it turns
+through the load, one of a ball at its spin or twice its spin with sidebands at the speed of the cage. All names are on
+trial with what each predicts; the likelier one is named. Slip moves each of these orders by up to 2 %.
+
+References
+----------
+Randall and Antoni, Rolling element bearing diagnostics - a tutorial, Mech. Syst. Signal Process. 25(2), 2011, 485-520.
+McFadden and Smith, Model for the vibration produced by a single point defect, J. Sound Vib. 96(1), 1984, 69-82.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.effects.places import orders
+from estimator.model.rig import Model
+from estimator.results import Message
+
+from .combs import (
+    HARMONIC_COUNTS,
+    Comb,
+    LineTable,
+    best_comb,
+    clear_harmonics,
+    clear_peaks,
+    clearest,
+    line_tables,
+    refined_fundamental,
+)
+from .envelope import MAX_PIECE_S, envelope_spectra
+from .machine_survey import ShaftSpeed, StrikeName, StrikeTrain
+from .pieces import Pieces
+from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
+
+MAX_SLIP_REL = 0.02  # of a kinematic order: slip of balls and the contact angle under load
+GRID_PER_BIN = 2.0  # trial positions of the highest harmonic in a bin
+MIN_FREE_ORDER, MAX_FREE_ORDER = 0.3, 12.0  # of a train that has no kinematic name
+FREE_PEAKS, FREE_DIVISORS = 30, (1, 2, 3)  # lines that a free search starts from; which harmonic each may be
+HIGHEST_ORDER = 45.0  # of the shaft, up to which envelopes are analysed
+MAX_FALSE_TRAIN_CHANCE = 1e-3  # of one false train in a record
+MAX_ENVELOPE_MAINS_MULTIPLE = 4
+WANDER_REACH_SDS = 2.5  # standard deviations of a wandering speed to which the lines of its orders reach
+MIN_FREE_HARMONICS = 3  # of a train without a kinematic name
+MIN_FREE_DISTANCE_REL = 0.03  # of a free train from a whole shaft order: a speed that wanders spreads these
+MIN_STRIKE_HARMONIC_REL = 0.25  # of the strongest higher harmonic over the first: ringing strikes have over a half
+SEPARATION_SHARE = 0.6  # of what the likeliest name explains, above which another name is not told from it
+MODULATION_AT_ORDER = "modulation_at_bearing_order"
+STRIKES_AMBIGUOUS = "strikes_ambiguous"
+NO_SPEED_NO_STRIKES = "no_speed_no_strikes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kinematic:
+    """One way in which a defect shows itself. order : strikes per turn. sideband : distance of sidebands, orders."""
+
+    name: StrikeName
+    order: float
+    sideband: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """A kinematic hypothesis and its clearest comb."""
+
+    kind: Kinematic
+    comb: Comb
+
+
+def kinematics_of(model: Model) -> list[Kinematic]:
+    """What each defect of the rig's bearing would show; empty without geometry or a given ball-pass order."""
+    if model.bearing is None:
+        return [Kinematic(name="BPFO", order=model.ball_pass_order)] if model.ball_pass_order else []
+    own = {name: float(order) for name, order in orders(model).items()}
+    return [
+        Kinematic(name="BPFO", order=own["BPFO"]),
+        Kinematic(name="BPFI", order=own["BPFI"]),
+        Kinematic(name="BPFI", order=own["BPFI"], sideband=1.0),
+        Kinematic(name="BSF", order=2 * own["BSF"]),
+        Kinematic(name="BSF", order=2 * own["BSF"], sideband=own["FTF"]),
+        Kinematic(name="BSF", order=own["BSF"]),
+        Kinematic(name="BSF", order=own["BSF"], sideband=own["FTF"]),
+        Kinematic(name="FTF", order=own["FTF"]),
+    ]
+
+
+def find_strikes(
+    model: Model, y: Array, rate_hz: float, columns: Mapping[str, int], speed: ShaftSpeed | None
+) -> tuple[list[StrikeTrain], list[Message]]:
+    """Strike trains in some channels, clearest first, and remarks.
+
+    y : (n, channels) SI, NaN where missing. columns : channel -> its column.
+    """
+    if speed is None:
+        text = "strike trains are not looked for: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
+        return [], [Message(NO_SPEED_NO_STRIKES, text)]
+    tables: list[LineTable] = []
+    avoided, avoided_sd = _avoided(speed)
+    for name, i in columns.items():
+        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz, MAX_PIECE_S)
+        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz):
+            tables += line_tables(name, spectrum, avoided, avoided_sd)
+    log_tables = float(np.log(max(len(tables), 1)))
+    limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))
+    kinds = kinematics_of(model)
+    trials = _named(tables, kinds, speed)
+    log_paid = log_tables + float(np.log(max(len(kinds), 1)))
+    certain = [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
+    if certain:
+        return _reported(_ranked(certain, speed), speed, log_paid)
+    free = _free(tables, speed)
+    if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
+        return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)
+    return [], []
+
+
+def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
+    """Frequencies (Hz) at which an envelope has lines without a defect, and their standard deviations."""
+    k = np.arange(1, int(HIGHEST_ORDER) + 3)
+    sd_hz = float(np.hypot(speed.sd_hz, WANDER_REACH_SDS * speed.wander_rel * speed.hz))
+    mains = np.unique(np.outer(MAINS_HZ, np.arange(1, MAX_ENVELOPE_MAINS_MULTIPLE + 1)))
+    hz = np.concatenate([k * speed.hz, mains])
+    return hz, np.concatenate([k * sd_hz, MAINS_TOLERANCE_REL * mains])
+
+
+def _named(tables: Sequence[LineTable], kinds: Iterable[Kinematic], speed: ShaftSpeed) -> list[Verdict]:
+    """The clearest comb of every kinematic hypothesis that has one, clearest first."""
+    out = []
+    for kind in kinds:
+        centre = kind.order * speed.hz
+        combs = []
+        for table in tables:
+            step = table.width / (GRID_PER_BIN * HARMONIC_COUNTS[-1] * table.spectrum.seconds)
+            half = max(1, int(np.ceil(_slip_reach(speed) * centre / step)))
+            grid: Array = np.asarray(centre + step * np.arange(-half, half + 1), dtype=np.float64)
+            combs.append(best_comb(table, grid, kind.sideband * speed.hz))
+        best = clearest(combs)
+        if best is not None:
+            out.append(Verdict(kind=kind, comb=best))
+    return sorted(out, key=lambda v: v.comb.log_p - 1e-4 * v.comb.nats)
+
+
+def _is_whole(v: Verdict, speed: ShaftSpeed) -> bool:
+    """Whether a comb has its first harmonic, and that within the slip."""
+    numbers, _ = clear_harmonics(v.comb)
+    slip = refined_fundamental(v.comb) / (speed.hz * v.kind.order) - 1.0
+    return bool(numbers.size and numbers[0] == 1) and abs(slip) <= _slip_reach(speed)
+
+
+def _is_free_train(comb: Comb) -> bool:
+    """Whether a comb without a kinematic name has its first harmonic and enough others."""
+    numbers, _ = clear_harmonics(comb)
+    return numbers.size >= MIN_FREE_HARMONICS and bool(numbers[0] == 1)
+
+
+def _slip_reach(speed: ShaftSpeed) -> float:
+    """Relative deviation from a kinematic order that slip and the uncertain speed allow."""
+    return MAX_SLIP_REL + 2.0 * speed.sd_rpm / speed.value_rpm
+
+
+def _ranked(certain: Sequence[Verdict], speed: ShaftSpeed) -> list[tuple[Verdict, float]]:
+    """Hypotheses with the share of the envelope's periodic power that their harmonics explain, the largest first.
+
+    A train has lines of others at some of its own, and sidebands of one are harmonics of another: the name is right
+    whose harmonics are the strong lines. Of names that the record does not resolve, the one that needs less slip.
+    A comb at the speed of the cage as strong as the train speaks for a ball: a defect of a ring does not turn with it.
+    """
+    if not certain:
+        return []
+    tables = {id(v.comb.table): v.comb.table for v in certain}
+    power = np.array([[_explained(v.comb, table) for table in tables.values()] for v in certain])
+    share = (power / np.maximum(power.max(axis=0), 1e-30)).sum(axis=1) / len(tables)
+    slip = [abs(refined_fundamental(v.comb) / speed.hz / v.kind.order - 1.0) for v in certain]
+    rows = sorted(range(len(certain)), key=lambda i: (-round(float(share[i]), 2), slip[i]))
+    best: dict[str, tuple[Verdict, float]] = {}
+    for i in rows:
+        best.setdefault(certain[i].kind.name, (certain[i], float(share[i])))
+    out = list(best.values())
+    alike = {v.kind.name for v, own in out if own > SEPARATION_SHARE * out[0][1]}
+    if {"BSF", "FTF"} <= alike:
+        out.sort(key=lambda entry: entry[0].kind.name != "BSF")
+    return out
+
+
+def _explained(comb: Comb, table: LineTable) -> float:
+    """Sum of the squared depths of modulation of the clear harmonics of a fundamental, in one table."""
+    _, depths = clear_harmonics(replace(comb, table=table))
+    return float(np.sum(depths**2))
+
+
+def _free(tables: Sequence[LineTable], speed: ShaftSpeed) -> Comb | None:
+    """The clearest comb at any order."""
+    low, high = MIN_FREE_ORDER * speed.hz, MAX_FREE_ORDER * speed.hz
+    combs = []
+    for table in tables:
+        peaks = clear_peaks(table, low, len(FREE_DIVISORS) * high, FREE_PEAKS)
+        starts = np.unique(np.concatenate([peaks / q for q in FREE_DIVISORS]))
+        whole = np.maximum(np.rint(starts / speed.hz), 1.0) * speed.hz
+        near = np.abs(starts - whole) < MIN_FREE_DISTANCE_REL * whole + 1.0 / table.spectrum.seconds
+        starts = starts[(starts >= low) & (starts <= high) & ~near]
+        searched = GRID_PER_BIN * HARMONIC_COUNTS[-1] * (high - low) * table.spectrum.seconds / table.width
+        combs.append(best_comb(table, starts, searched=searched))
+    return clearest(combs)
+
+
+def _reported(
+    ranked: Sequence[tuple[Verdict, float]], speed: ShaftSpeed, log_paid: float
+) -> tuple[list[StrikeTrain], list[Message]]:
+    """The train of the likeliest hypothesis, and what else it may be. ranked : hypotheses with their shares."""
+    first, share = ranked[0]
+    hz = refined_fundamental(first.comb)
+    numbers, depths = clear_harmonics(first.comb)
+    order, name, table = hz / speed.hz, first.kind.name, first.comb.table
+    if numbers[0] == 1 and depths[1:].max(initial=0.0) < MIN_STRIKE_HARMONIC_REL * depths[0]:
+        text = f"the vibration is modulated at {order:.3f} x shaft speed ({name}), too smoothly for strikes"
+        return [], [Message(MODULATION_AT_ORDER, text)]
+    train = StrikeTrain(
+        name=name,
+        order=order,
+        frequency_hz=hz,
+        slip_percent=100 * (order / first.kind.order - 1) if first.kind.order else None,
+        channel=table.channel,
+        band_hz=table.spectrum.band_hz,
+        p_value=float(np.exp(np.clip(first.comb.log_p + log_paid, -690.0, 0.0))),
+        severity=float(np.sqrt(0.5 * np.sum(depths**2))),
+        harmonics=int(numbers.size),
+    )
+    rivals = [
+        f"{v.kind.name} ({v.comb.hz / speed.hz:.3f} x shaft speed)"
+        for v, own in ranked[1:]
+        if own > SEPARATION_SHARE * share and v.kind.name != "FTF"
+    ]
+    if not rivals:
+        return [train], []
+    text = f"strikes at {order:.3f} x shaft speed: {name} or {' or '.join(rivals)}; the record does not tell them apart"
+    return [train], [Message(STRIKES_AMBIGUOUS, text)]

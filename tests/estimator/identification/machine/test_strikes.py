@@ -1,0 +1,103 @@
+"""Strike trains in made-up records of a 6205 bearing: names, slip, sidebands, and what is no strike train."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from estimator.arrays import Array
+from estimator.identification.machine import MachineSurvey, survey_machine
+from estimator.model import BearingGeometry, Channel, Model
+
+RATE_HZ, SECONDS, SHAFT_HZ = 10240.0, 4.0, 29.3
+BEARING = BearingGeometry(balls=9, ball_diameter=7.94e-3, pitch_diameter=39.04e-3, groove_radius=4.13e-3)
+BPFO, BPFI, BSF, FTF = 3.5848, 5.4152, 2.3567, 0.3983
+MODEL = Model(channels=(Channel("y", "bearing1", "y"),), band=(500.0, 4000.0), speed_rpm=60 * SHAFT_HZ, bearing=BEARING)
+
+
+def noise(seed: int) -> Array:
+    """Noise of a housing with two modes, standard deviation 1, beside a weak 1X that tells the speed."""
+    rows = int(RATE_HZ * SECONDS)
+    white = np.random.default_rng(seed).standard_normal((3, rows))
+    modes = sum(fftconvolve(w, ring(hz))[:rows] for w, hz in zip(white, (900.0, 3100.0), strict=False))
+    t = np.arange(rows) / RATE_HZ
+    return np.asarray(modes / np.std(modes) + 0.3 * white[2] + 0.2 * np.cos(2 * np.pi * SHAFT_HZ * t))
+
+
+def ring(hz: float, damping: float = 0.03, after: Array | None = None) -> Array:
+    """Response of a mode to a strike. after : s since the strike."""
+    t = np.arange(int(0.03 * RATE_HZ)) / RATE_HZ if after is None else after
+    return np.asarray(np.exp(-damping * 2 * np.pi * hz * t) * np.sin(2 * np.pi * hz * t))
+
+
+def strikes(order: float, size: float, seed: int, jitter: float = 0.01, load_order: float = 0.0) -> Array:
+    """Strikes that ring a mode; jitter : of a period, accumulating; load_order : of the load that a defect passes."""
+    rows = int(RATE_HZ * SECONDS)
+    random = np.random.default_rng(seed)
+    period = RATE_HZ / (order * SHAFT_HZ)
+    at = np.cumsum(period * (1 + jitter * random.standard_normal(int(rows / period) + 20)))
+    at = at[at < rows - 1]
+    load = 0.5 * (1 + np.cos(2 * np.pi * load_order * SHAFT_HZ * at / RATE_HZ)) if load_order else np.ones(at.size)
+    height = size * load * (1 + 0.2 * random.standard_normal(at.size))
+    row = np.ceil(at).astype(int)[:, None] + np.arange(int(0.03 * RATE_HZ))
+    out = np.zeros(rows + row.shape[1])
+    np.add.at(out, row, height[:, None] * ring(3100.0, after=(row - at[:, None]) / RATE_HZ))
+    return out[:rows]
+
+
+def survey_of(x: Array) -> MachineSurvey:
+    return survey_machine(MODEL, x[:, None], RATE_HZ)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("name", "order", "load_order"), [("BPFO", BPFO, 0.0), ("BPFI", BPFI, 1.0), ("BSF", 2 * BSF, FTF)]
+)
+def test_a_defect_is_named(name: str, order: float, load_order: float, jitter: float) -> None:
+    slipped = order * (1 - 0.008)
+    (train,) = survey_of(noise(3) + strikes(slipped, 4.0, 4, jitter, load_order)).strikes
+    assert train.name == name
+    assert train.order is not None
+    assert train.order / slipped == pytest.approx(1.0, abs=0.006)
+    assert train.slip_percent == pytest.approx(-0.8, abs=0.6)
+    assert train.p_value < 1e-3
+    assert train.severity > 0.1
+    assert train.channel == "y"
+
+
+def test_a_train_at_no_order_of_the_bearing_is_other() -> None:
+    (train,) = survey_of(noise(3) + strikes(6.37, 5.0, 4, 0.003)).strikes
+    assert (train.name, train.slip_percent) == ("other", None)
+    assert train.order == pytest.approx(6.37, abs=0.02)
+
+
+def test_strikes_once_a_turn_are_no_defect() -> None:
+    assert survey_of(noise(3) + strikes(1.0, 5.0, 4, 0.002)).strikes == ()
+    assert survey_of(noise(3) + strikes(3.0, 5.0, 4, 0.002)).strikes == ()
+
+
+def test_a_smooth_modulation_is_no_strike_train() -> None:
+    t = np.arange(int(RATE_HZ * SECONDS)) / RATE_HZ
+    s = survey_of(noise(3) * (1 + 0.5 * np.cos(2 * np.pi * BPFO * SHAFT_HZ * t)))
+    assert s.strikes == ()
+
+
+def test_noise_has_no_strikes() -> None:
+    assert not any(survey_of(noise(seed)).strikes for seed in range(20, 26))
+
+
+def test_short_pieces_are_enough() -> None:
+    x = noise(3) + strikes(BPFO, 6.0, 4)
+    rows = int(0.5 * RATE_HZ)
+    x[::rows] = np.nan
+    for gap in range(1, 12):
+        x[gap::rows] = np.nan
+    (train,) = survey_of(x).strikes
+    assert train.name == "BPFO"
+
+
+def test_without_a_speed_no_train_is_named() -> None:
+    s = survey_machine(Model(channels=MODEL.channels, band=MODEL.band, bearing=BEARING), noise(1)[:, None], RATE_HZ)
+    assert s.strikes == ()
+    assert "no_speed_no_strikes" in [m.code for m in s.messages]
