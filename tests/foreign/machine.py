@@ -258,6 +258,7 @@ class Forces:
             b, a = signal.bilinear(*([1 / (2 * np.pi * f), 1.0] for f in (zero, pole)), rate)
             self.colour[pushed.index(machine.at[place])] = [b, a, np.zeros(1)]
         self.strikes, self.ring = self._strikes(rng), np.zeros(1)
+        self.rho = machine.numbers.get("bearing1.correlated_force", (0.0,))[0]
 
     def _strikes(self, rng: np.random.Generator) -> Array:
         """(n, 2) s and relative height of every strike."""
@@ -272,6 +273,11 @@ class Forces:
 
     def __call__(self, t: Array, out: Array) -> Array:
         angle = self.turning(t)
+        if self.rho:
+            first, second = (self.pushed.index(self.machine.at[f"bearing{b}.x"]) for b in "12")
+            S1, S2 = (self.machine.scene.S[f"bearing{b}.x"] for b in "12")
+            out[:, second] *= np.sqrt(1 - self.rho**2)
+            out[:, second] += self.rho * out[:, first] * np.sqrt(S2 / S1)
         for k in range(out.shape[1]):
             if k in self.colour:
                 b, a, state = self.colour[k]

@@ -76,6 +76,8 @@ class Rotor:
         upper = values.imag > 0
         if error.max() > MAX_MODAL_ERROR or upper.sum() != len(self.M):
             raise ValueError("the rotor has a mode that does not swing, or two that are one")
+        if values.real.max() >= 0:
+            raise ValueError("the rotor is not stable")
         return values[upper], shapes[:, upper], inverse[upper]
 
 

@@ -29,6 +29,7 @@ RATES_HZ = (1600.0, 2048.0, 2560.0, 4096.0, 5000.0, 8000.0, 10000.0, 12800.0, 20
 MAX_SAMPLES = 16_000_000  # of all channels: memory at the inner rate
 MIN_NATS = 60.0  # of an effect, given all the rest: less is not to be seen by anybody
 MIN_SHARE, MAX_SHARE = 0.03, 0.25  # of the rms bearing force
+MIN_DAMPING_OF_WHIRL = 0.04  # of a rotor that a circulating force drives: with less, a share of 3 % is not stable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +145,8 @@ def draw(kind: str, seed: int, seconds: tuple[float, float], effects: tuple[str,
     w = min(np.sqrt(scene.kL[p] / scene.m[p[:8]]) for p in scene.measured)
     least = float(np.sqrt(MIN_NATS * 8 * zeta / (scene.seconds * w)))
     share = min(max(log_uniform(rng, MIN_SHARE, 4 * MIN_SHARE), least), MAX_SHARE)
+    if "cross_coupling" in wanted:
+        share = min(share, max(MIN_SHARE, zeta))
     if kind == "mistake":
         factor = {"speed": 1 + 0.03 * rng.choice([-1, 1]), "rate": 1 + 0.024 * rng.choice([-1, 1])}
         times = {"cap_mass": 2.0, "disc_mass": 2.0, "shaft_spring": 10.0}.get(wanted[0], 1.0)
@@ -196,7 +199,7 @@ def _rig(kind: str, seed: int, seconds: tuple[float, float], wanted: tuple[str, 
     m = {f"bearing{b}": mass * (1.0 if b == "1" else log_uniform(rng, 0.8, 1.25)) for b in bearings}
     hz = {f"bearing{b}.{d}": f0 * log_uniform(rng, 0.85, 1.18) for b in bearings for d in directions}
     kL = {p: m[p[:8]] * (2 * np.pi * f) ** 2 for p, f in hz.items()}
-    zeta = log_uniform(rng, 0.003, 0.15)
+    zeta = max(log_uniform(rng, 0.003, 0.15), MIN_DAMPING_OF_WHIRL if "cross_coupling" in wanted else 0.0)
     c = {p: 2 * zeta * log_uniform(rng, 0.8, 1.25) * float(np.sqrt(k * m[p[:8]])) for p, k in kL.items()}
     rms = log_uniform(rng, 0.3, 30.0)  # m/s^2
     S = {p: (rms / (2 * np.pi * hz[p])) ** 2 * 4 * c[p] * m[p[:8]] * log_uniform(rng, 0.5, 2.0) for p in kL}
