@@ -46,7 +46,7 @@ def truth_of(scene: Scene, machine: Machine, share: float | None) -> dict[str, A
     line = machine.numbers.get("bearing1.line", (None,))[0]
     return asdict(s) | {
         "f0": f0["bearing1.x"], "zeta": zeta["bearing1.x"], "f0_of": f0, "disc_hz": disc_hz, "line_hz": line,
-        "stiff": s.ks / s.kL["bearing1.x"] if s.shaft != "none" else 0.0, "got_share": share,
+        "stiff": s.ks / s.kL["bearing1.x"] if s.shaft != "none" else 0.0, "got_share": share, "sway": machine.sway,
         "numbers": {k: list(v) for k, v in machine.numbers.items()},
     }  # fmt: skip
 

@@ -23,7 +23,6 @@ RIGHT, HONEST, WRONG, LATE = "right", "honest", "wrong", "late"
 ORDER_TOLERANCE = 0.01  # relative, of the order of strikes that are there, slip included
 LINE_TOLERANCE_HZ = 0.5
 RULES = ("over 100 %", "named at 0.00 %", "more than ten notes", "a warning")  # that no answer may break
-STRONG_TONE = 0.03  # of the bearing force: a tone that may be called an imbalance or a misalignment
 BLAMED = ("shaft_differs", "rig_file")  # codes of remarks that blame the rig file
 KEYS = {  # what an answer must name for each mistake: a key of the parameters, or channels
     "cap_mass": r"mass\.bearing1", "disc_mass": r"mass\.disc", "shaft_spring": r"shaft_spring", "speed": r"speed",
@@ -132,11 +131,10 @@ def _surrounding(name: str, answer: dict[str, Any], truth: dict[str, Any]) -> bo
         known = {hz: LINE_TOLERANCE_HZ for hz, _ in there["hum"]}
         known |= {k * turn: max(LINE_TOLERANCE_HZ, 2 * there["wander"] * k * turn) for k in (1, 2)}
         return all(any(abs(hz - f) < width for f, width in known.items()) for hz in found)
-    strong = {"imbalance": there["once"] >= STRONG_TONE, "misalignment": there["twice"] >= STRONG_TONE}
     coloured = any(zero != pole for zero, pole in there["colour"].values())
     in_band = there["mount"][0] < 2 * truth["band"][1]
     other = {"pedestal": True, "coloured_excitation": coloured, "sensor_noise": True, "sensor_resonance": in_band}
-    return bool((strong | other).get(name, False))
+    return bool(other.get(name, False))  # every shaft has some 1 x and 2 x: imbalance would be a false alarm
 
 
 def _untrue(reason: str, truth: dict[str, Any]) -> str:

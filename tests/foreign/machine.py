@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 Force = Callable[[Array, Array], Array]
 SHAFTS = {"chain": [[1.0, 0, -1], [0, 1, -1], [-1, -1, 2]], "beam": [[1.0, 1, -2], [1, 1, -2], [-2, -2, 4]]}
 PILOTS, PILOT_STEPS = 5, 400_000  # tries; steps of each
+SICK_M_S = 7.1e-3  # rms at 1 or 2 x of an imbalance or misalignment: zone D of ISO 20816-3 begins (group 1, rigid)
+SICK_DOMINANCE = 2.0  # of the velocity of a tone that is a fault over all the rest of the velocity
 TOLD_CUBIC_SHARE = 0.02  # of the bearing force, of a cubic that the rig file has
 
 
@@ -24,15 +26,18 @@ TOLD_CUBIC_SHARE = 0.02  # of the bearing force, of a cubic that the rig file ha
 class Machine:
     """A scene in matrices.
 
-    at : name of a degree of freedom -> index. bearing : place -> (n,) weights of what its spring feels. size : place ->
-    magnitudes of the linear rotor. tones : (degree of freedom, order or Hz, complex N), an order where `by_turn`.
-    numbers : "PLACE.EFFECT" -> numbers of what is hidden.
+    at : name of a degree of freedom -> index. bearing : place -> (n,) weights of what its spring feels. velocity : of
+    bearing 1 x without tones, m/s rms. sway : order -> m/s rms of the machine as a whole. size : place -> magnitudes of
+    the linear rotor. tones : (degree of freedom, whether of the shaft, its order or Hz, complex N). numbers :
+    "PLACE.EFFECT" -> numbers of what is hidden.
     """
 
     scene: Scene
     at: dict[str, int] = field(default_factory=dict)
     bearing: dict[str, Array] = field(default_factory=dict)
     rotor: Rotor = field(init=False)
+    velocity: float = field(init=False)
+    sway: dict[float, float] = field(default_factory=dict)
     size: dict[str, hidden.Size] = field(default_factory=dict)
     tones: list[tuple[int, bool, float, complex]] = field(default_factory=list)
     numbers: dict[str, tuple[float, ...]] = field(default_factory=dict)
@@ -86,6 +91,7 @@ class Machine:
         s, r, n = self.scene, self.rotor, len(self.at)
         P = r.covariance()
         R = np.linalg.solve(r.M, np.hstack([r.K, r.C]))
+        self.velocity = float(np.sqrt(P[n + self.at["bearing1.x"], n + self.at["bearing1.x"]]))
         a = np.sqrt(np.maximum(np.diag(R @ P @ R.T), 0.0) + r.S / np.diag(r.M) ** 2 * s.rate_hz / 2)
         for place in s.places:
             g, i = self.bearing[place], self.at[place]
@@ -112,24 +118,27 @@ class Machine:
 
     def _add_surrounding_tones(self) -> None:
         around, rng = self.scene.around, self.scene.rng(5)
-        shown = self.scene.mistake in ("speed", "rate")
         for order, share in ((1.0, around.once), (2.0, around.twice)):
             if share:
-                self._add_order(order, share, "disc" if order == 1.0 else "bearing1", rng, shown)
+                self._add_order(order, share, "disc" if order == 1.0 else "bearing1", rng)
+            self.sway[order] = self._sway(order, around.sway / order**2, rng)
 
-    def _add_order(self, order: float, share: float, where: str, rng: np.random.Generator, shown: bool) -> None:
-        """A force at an order that goes round, with a share of the bearing force at bearing 1; where `shown` more, if
-        it takes more to be seen in the acceleration."""
-        s, w = self.scene, order * self.turn
+    def _sway(self, order: float, velocity: float, rng: np.random.Generator) -> float:
+        """m/s rms with which the whole machine goes round at an order."""
+        s, hz = self.scene, order * self.turn / (2 * np.pi)
+        if ("imbalance", "misalignment")[int(order) - 1] in s.hidden:
+            return max(SICK_DOMINANCE * self.velocity, SICK_M_S * rng.uniform(1.0, 2.5))
+        if s.mistake not in ("speed", "rate"):
+            return velocity
+        bins = 1.0 + 2 * s.around.wander * hz * s.seconds  # that a wandering speed spreads it over
+        return max(velocity, float(np.sqrt(MIN_NATS * bins * self.floor(hz) / s.seconds)) / (2 * np.pi * hz))
+
+    def _add_order(self, order: float, share: float, where: str, rng: np.random.Generator) -> None:
+        """A force at an order that goes round, of a share of the rms bearing force at bearing 1."""
         where = where if f"{where}.x" in self.at else "bearing1"
-        G = self.receptance(w)[:, self.at[f"{where}.x"]]
+        G = self.receptance(order * self.turn)[:, self.at[f"{where}.x"]]
         size = self.size["bearing1.x"]
-        force = np.sqrt(2) * share * size.x / abs(self.bearing["bearing1.x"] @ G)
-        if shown:
-            bins = 1.0 + 2 * s.around.wander * w / (2 * np.pi) * s.seconds  # that a wandering speed spreads it over
-            least = np.sqrt(2 * MIN_NATS * bins * self.floor(w / (2 * np.pi)) / s.seconds)
-            force = max(force, least / (w**2 * abs(G[self.at["bearing1.x"]])))
-        force = force * np.exp(2j * np.pi * rng.uniform())
+        force = np.sqrt(2) * share * size.x / abs(self.bearing["bearing1.x"] @ G) * np.exp(2j * np.pi * rng.uniform())
         for d, turned in (("x", 1.0), ("y", -1j)):
             if f"{where}.{d}" in self.at:
                 self.tones.append((self.at[f"{where}.{d}"], True, order, force * turned))
@@ -138,7 +147,7 @@ class Machine:
         """An effect of a share of the bearing force."""
         if name in ("imbalance", "misalignment"):
             order, dof = (1.0, "disc") if name == "imbalance" else (2.0, "bearing1")
-            self._add_order(order, share, dof, rng, shown=True)
+            self._add_order(order, share, dof, rng)
             return
         own = hidden.numbers(name, share, self.size["bearing1.x"], rng) if name != "local_defect" else ()
         if name == "line":

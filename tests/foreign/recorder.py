@@ -24,12 +24,14 @@ def recorded(machine: Machine, moved: Moved) -> dict[str, Array]:
     hum = np.zeros(n)
     for hz, loud in s.around.hum:
         hum += loud * np.sqrt(2) * np.sin(2 * np.pi * (hz * t + rng.uniform()))
+    angle = moved.turning(t)
     out = {}
     for k, name in enumerate(s.channels):
         y = moved.caps[:, k].astype(np.float64) / UNITS[s.unit]
         y = _mounted(y, s)
         y = _filtered(y, s)[:: s.keep][:n]
         rms = float(np.std(y))
+        y += _sway(machine, angle, name[-1]) / UNITS[s.unit]
         noise = s.around.white * rng.standard_normal(n) + s.around.pink * _pink(n, rng)
         y += rms * (hum * rng.uniform(0.5, 1.5) + noise)
         if "sensor_clipping" in s.hidden and k == 0:
@@ -40,13 +42,22 @@ def recorded(machine: Machine, moved: Moved) -> dict[str, Array]:
         count = 1.5 * np.abs(y).max() / 2 ** (s.around.bits - 1)
         out[name] = np.round(y / count) * count
     if s.tacho:
-        passed = np.remainder(moved.turning(t), 2 * np.pi)
+        passed = np.remainder(angle, 2 * np.pi)
         out["tacho"] = np.where(passed < 0.15 * 2 * np.pi, 5.0, 0.0) + 0.02 * rng.standard_normal(n)
     if s.mistake == "swapped":
         out["b1y"], out["b2x"] = out["b2x"], out["b1y"]
     if s.mistake == "inverted":
         out["b2x"] = -out["b2x"]
     return out
+
+
+def _sway(machine: Machine, angle: Array, direction: str) -> Array:
+    """Velocity or acceleration, SI, of the machine as a whole; the speed wanders too little to change the amplitude."""
+    late, y = (np.pi / 2 if direction == "y" else 0.0), np.zeros(len(angle))
+    for order, velocity in machine.sway.items():
+        of_sensor = 1.0 if machine.scene.sensor == "velocity" else order * machine.turn
+        y += np.sqrt(2) * velocity * of_sensor * np.cos(order * angle - late)
+    return y
 
 
 def _mounted(y: Array, s: Scene) -> Array:

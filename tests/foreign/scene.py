@@ -48,7 +48,8 @@ class Mode:
 class Around:
     """All that is beside the rotor and its laws.
 
-    once, twice : rms bearing force of the tones at 1 and 2 x shaft speed, of the rms bearing force. wander : rms of the
+    once, twice : rms bearing force of the tones at 1 and 2 x shaft speed, of the rms bearing force. sway : m/s rms with
+    which all caps go round together, on soil and feet, at 1 x; a quarter of it at 2 x. wander : rms of the
     speed, relative, wander_s : its memory. hum : (Hz, rms of the channel's rms). colour : place -> (Hz, Hz) of the zero
     and the pole of the unknown force. level : rms of the logarithm of its level. white, pink : rms of noise, of the
     channel's rms. mount : (Hz, quality). filter : (kind, order, cutoff Hz). ac_hz : high pass, 0 for none. bits : of a
@@ -57,6 +58,7 @@ class Around:
 
     once: float
     twice: float
+    sway: float
     wander: float
     wander_s: float
     hum: tuple[tuple[float, float], ...]
@@ -247,7 +249,7 @@ def _around(scene: Scene, wanted: tuple[str, ...]) -> Around:
     kind = str(rng.choice(["butterworth", "bessel", "chebyshev1", "chebyshev2", "fir", "mean"]))
     return Around(
         once=0.0 if own_tones else once, twice=0.0 if own_tones else once * rng.uniform(0.1, 0.7),
-        wander=log_uniform(rng, 0.001, 0.01), wander_s=log_uniform(rng, 0.5, 10.0),
+        sway=log_uniform(rng, 5e-5, 1.4e-3), wander=log_uniform(rng, 0.001, 0.01), wander_s=log_uniform(rng, 0.5, 10.0),
         hum=tuple((k * mains, loud / k**0.5 * rng.uniform(0.3, 1.0)) for k in multiples), modes=tuple(modes),
         colour=colour, level=log_uniform(rng, 0.03, 0.4), white=log_uniform(rng, 2e-4, 1e-2),
         pink=log_uniform(rng, 1e-4, 1e-2), mount=(rate * log_uniform(rng, 0.35, 3.0), log_uniform(rng, 5.0, 30.0)),
@@ -258,6 +260,6 @@ def _around(scene: Scene, wanted: tuple[str, ...]) -> Around:
 
 
 NOTHING = Around(
-    once=0.0, twice=0.0, wander=0.0, wander_s=1.0, hum=(), modes=(), colour={}, level=0.0, white=0.0, pink=0.0,
-    mount=(0.0, 0.0), filter=("none", 0, 0.0), filter_given=False, ac_hz=0.0, bits=24,
+    once=0.0, twice=0.0, sway=0.0, wander=0.0, wander_s=1.0, hum=(), modes=(), colour={}, level=0.0, white=0.0,
+    pink=0.0, mount=(0.0, 0.0), filter=("none", 0, 0.0), filter_given=False, ac_hz=0.0, bits=24,
 )  # fmt: skip

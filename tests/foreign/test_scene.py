@@ -15,7 +15,7 @@ from .machine import Machine
 from .recorder import recorded, rig_file
 from .scene import KINDS, NOTHING, Scene, draw
 
-SILENT = {"level": 0.0, "white": 0.0, "pink": 0.0, "hum": (), "once": 0.0, "twice": 0.0}
+SILENT = {"level": 0.0, "white": 0.0, "pink": 0.0, "hum": (), "once": 0.0, "twice": 0.0, "sway": 0.0}
 
 
 def still(scene: Scene, **changes: Any) -> Scene:
