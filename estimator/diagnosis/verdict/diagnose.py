@@ -128,7 +128,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | Non
     record = survey_record(model, y, rate_hz)
     machine = survey_machine(model, y, rate_hz, record)
     bearing = bearing_layer(model, y, rate_hz, record, say)
-    return verdict_of_layers(model, record, machine, bearing)
+    return verdict_of_layers(model, record, machine, None, bearing)
 
 
 def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, say: Progress) -> BearingJudgement:
@@ -148,8 +148,8 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, 
 
 
 def verdict_of_layers(
-    model: Model, record: RecordSurvey, machine: MachineSurvey, bearing: BearingJudgement
-) -> Diagnosis:  # fmt: skip
+    model: Model, record: RecordSurvey, machine: MachineSurvey, structure: Survey | None, bearing: BearingJudgement
+) -> Diagnosis:
     """The verdict of all layers.
 
     A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
@@ -174,6 +174,7 @@ def verdict_of_layers(
         messages=_messages(record, machine, bearing, verdict),
         record=record,
         machine=machine,
+        structure=structure,
         bearing=bearing,
     )
 
@@ -191,8 +192,13 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
 
 
 def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: bool) -> tuple[Entry, ...]:
+    """Candidates of both layers. Missing force is a share of the force in the band: it cannot exceed all of it."""
     names = {entry.effect for entry in signal}
-    rest = [entry for entry in bearing if entry.effect not in names]
+    rest = [
+        replace(entry, before_percent=min(entry.before_percent, 100.0), after_percent=min(entry.after_percent, 100.0))
+        for entry in bearing
+        if entry.effect not in names
+    ]
     return (*rest, *signal) if bearing_first else (*signal, *rest)
 
 

@@ -1,0 +1,164 @@
+"""The outer shape of a diagnosis: every record is answered, and one verdict follows from the layers."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from hidden_effects import schema
+
+from estimator import Channel, DataError, EffectUse, Model, compare, diagnose, fit
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.verdict.bearing import BearingJudgement
+from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
+from estimator.identification.machine import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
+from estimator.identification.record import ChannelSummary, RecordSurvey
+from estimator.model import BearingGeometry
+from estimator.results import NOT_JUDGED, Message
+
+RATE = 5120.0
+RIG = Model(
+    (Channel("b1x", "bearing1", "x"), Channel("b1y", "bearing1", "y")),
+    band=(100.0, 2000.0),
+    mass={"bearing1": 0.2},
+    speed_rpm=1800.0,
+    bearing=BearingGeometry(9, 7.94e-3, 39.04e-3),
+)
+
+
+def bad_records() -> Iterator[Any]:
+    """Records that carry no judgement of the bearings, and a word of the reason."""
+    n = round(4 * RATE)
+    noise = np.random.default_rng(0).standard_normal((n, 2))
+    gaps = np.where(((np.arange(n) // 256) % 2 == 1)[:, None], np.nan, noise)
+    yield pytest.param(noise, "resonance", id="noise")
+    yield pytest.param(noise[: round(0.1 * RATE)], "0.1 s", id="0.1 s")
+    yield pytest.param(gaps, "gaps", id="half of it gaps")
+    yield pytest.param(noise * [1, 0], "resonance", id="one channel")
+    yield pytest.param(np.sign(noise), "one bit", id="one bit")
+    yield pytest.param(noise[:0], "no valid samples", id="empty")
+    yield pytest.param(noise * np.nan, "no valid samples", id="nothing but gaps")
+
+
+@pytest.mark.parametrize(("y", "reason"), list(bad_records()))
+def test_a_bad_record_gets_the_true_reason_in_one_line_and_what_can_be_answered(y: np.ndarray, reason: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = diagnose(RIG, y, RATE)
+        for command in (fit, compare):
+            with pytest.raises(DataError) as caught:
+                command(RIG, y, RATE)
+            assert "\n" not in str(caught.value)
+    assert not found.bearing.judged
+    assert reason in found.bearing.reason
+    assert "\n" not in found.bearing.reason
+    assert found.verdict == "unknown"
+    assert found.messages[0].code == NOT_JUDGED
+    assert set(found.record.channels) == {"b1x", "b1y"}
+    jsonschema.validate(found.to_json(), schema("diagnose"))
+
+
+def strikes(name: Any = "BPFO", order: float = 3.585, p_value: float = 1e-30) -> StrikeTrain:
+    return StrikeTrain(
+        name=name, order=order, frequency_hz=order * 30, slip_percent=None, channel="b1y", band_hz=(500.0, 2000.0),
+        p_value=p_value, severity=1.0, harmonics=5,
+    )  # fmt: skip
+
+
+def tone(order: float, mm_s: float, kind: Any = "order") -> Tone:
+    """A tone by its velocity, mm/s rms."""
+    hz = 30.0 * order
+    amplitude = {"b1x": 1e-3 * mm_s * np.sqrt(2) * 2 * np.pi * hz}
+    return Tone(
+        kind=kind, order=order, frequency_hz=hz, amplitude=amplitude, unit="m/s^2", p_value=1e-20, power_ratio=1e3
+    )
+
+
+def entry(effect: str, percent: float = 30.0) -> Entry:
+    return Entry(
+        effect=effect, at=("bearing1",), gain=1e3, heldout_gain=1e3, p_value=1e-9, before_percent=percent,
+        after_percent=0.0, parameters={}, score=1e3,
+    )  # fmt: skip
+
+
+def judged(verdict: str) -> BearingJudgement:
+    ranking = () if verdict in ("complete", "unknown") else (entry(verdict),)
+    return BearingJudgement(verdict, ranking)
+
+
+def verdict(
+    bearing: BearingJudgement,
+    *trains: StrikeTrain,
+    tones: tuple[Tone, ...] = (),
+    model: Model = RIG,
+    rms: float = 100.0,
+) -> Diagnosis:
+    levels = {c.name: ChannelSummary(rms=rms, velocity_rms_mm_s=10.0) for c in model.channels}
+    speed = ShaftSpeed(value_rpm=1800.0, sd_rpm=0.6, source="record")
+    machine = MachineSurvey(speed=speed, tones=tones, strikes=trains)
+    return verdict_of_layers(model, RecordSurvey(channels=levels), machine, None, bearing)
+
+
+NOT = BearingJudgement.not_judged("no resonance")
+
+
+@pytest.mark.parametrize("bearing", ["complete", "unknown", "line", "cubic", "sensor_resonance"])
+def test_strikes_at_a_kinematic_order_are_a_local_defect_whatever_law_the_impacts_look_like(bearing: str) -> None:
+    found = verdict(judged(bearing), strikes())
+    assert found.verdict == found.ranking[0].effect == "local_defect"
+    order = found.ranking[0].parameters["bearing1.y.local_defect.order"]
+    assert order.value == 3.585
+    assert order.sd == pytest.approx(3.585 * 0.6 / 1800)
+
+
+def test_a_law_that_turns_with_the_shaft_modulates_the_envelope_and_stands() -> None:
+    assert verdict(judged("ball_pass"), strikes()).verdict == "ball_pass"
+
+
+def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
+    assert verdict(judged("complete"), strikes(p_value=0.01)).verdict == "complete"
+    assert verdict(judged("complete"), strikes("other", 2.7)).verdict == "complete", "no order of the known bearing"
+    assert verdict(NOT, strikes("other", 2.7), model=replace(RIG, bearing=None)).verdict == "local_defect"
+    there = replace(RIG, effects=(EffectUse("local_defect", {"bearing1": {}}),))
+    assert verdict(judged("complete"), strikes(), model=there).verdict == "complete"
+
+
+def test_impacts_at_a_whole_multiple_of_the_shaft_are_no_defect_and_say_so() -> None:
+    found = verdict(NOT, strikes("other", 2.998), model=replace(RIG, bearing=None))
+    assert found.verdict == "unknown"
+    assert any("3 times per turn" in message.text for message in found.messages)
+
+
+@pytest.mark.parametrize(
+    ("tones", "expected"),
+    [
+        ((tone(1.0, 8.0), tone(2.0, 1.0)), "imbalance"),
+        ((tone(1.0, 4.0), tone(2.0, 7.0)), "misalignment"),
+        ((tone(1.0, 1.2),), "unknown"),  # every shaft has some
+        ((tone(1.0, 5.0),), "unknown"),  # a part of 10 mm/s
+    ],
+)
+def test_harmonics_of_the_shaft_are_a_fault_where_they_are_large_and_dominate(
+    tones: tuple[Tone, ...], expected: str
+) -> None:
+    assert verdict(NOT, tones=tones).verdict == expected
+
+
+def test_a_line_that_holds_much_of_a_channel_is_named_only_where_no_model_explains_the_record() -> None:
+    hum = tone(3.34, 1.0, "mains")
+    assert verdict(NOT, tones=(hum,), rms=1.0).verdict == "line"
+    assert verdict(NOT, tones=(hum,), rms=10.0).verdict == "unknown"
+    assert verdict(judged("complete"), tones=(hum,), rms=1.0).verdict == "complete"
+
+
+def test_no_share_is_over_100_percent_and_no_more_than_ten_notes_are_said() -> None:
+    many = tuple(Message("found_where", f"{k} Hz") for k in range(150))
+    bearing = BearingJudgement("line", (entry("line", 6610.0),), messages=many)
+    found = verdict(bearing)
+    assert found.ranking[0].before_percent == 100.0
+    assert len(found.messages) <= 10
