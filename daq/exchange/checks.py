@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,25 +11,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.errors import LogError
+from daq.rig.conversion import Conversion, conversion
 from daq.rig.problems import did_you_mean
 from daq.rig.rig import Rig
-from daq.rig.units import canonical, factor
+from daq.rig.rig_file import ChannelTable
+from daq.rig.units import canonical
 
-from .formats import Columns
+from .columns import Columns
+from .formats import RATE_TOLERANCE, read
 
 MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
-RATE_TOLERANCE = 2e-3  # between two statements of the rate
+NO_VALUE = 1e30  # in whatever unit: no sensor says so much, but instruments write 9.9e37 for "no value"
+# Rates that a time column without a unit gives if it is taken as s, over what they are
+FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+FACTOR_TOLERANCE = 0.02
+MOST_ROWS = 1e9  # of a record with holes
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Checked columns in the rig's order, as the file holds them; SI = value * factors[channel]."""
+    """Checked columns in the rig's order, as the file holds them; SI = value * factors[channel] + offsets[channel].
+
+    missing : rows that are not there, if the caller allows gaps. started_ns : Unix time of the first row, ns.
+    """
 
     names: tuple[str, ...]
     values: tuple[NDArray[Any], ...]
     factors: tuple[float, ...]
     rate_hz: float
-    missing: NDArray[np.bool_] | None = None  # rows that are not there, if the caller allows gaps
+    missing: NDArray[np.bool_] | None = None
+    offsets: tuple[float, ...] = ()
+    started_ns: int | None = None
 
     @property
     def samples(self) -> int:
@@ -37,7 +49,15 @@ class Record:
 
     def si(self) -> NDArray[np.float64]:
         """(samples, channels) in SI; NaN in rows that are not there."""
-        return np.column_stack([v * f for v, f in zip(self.values, self.factors, strict=True)]).astype(np.float64)
+        offsets = self.offsets or (0.0,) * len(self.names)
+        columns = [v * f + o for v, f, o in zip(self.values, self.factors, offsets, strict=True)]
+        return np.column_stack(columns).astype(np.float64)
+
+
+def load(path: Path, rig: Rig, rate_hz: float | None, note: Callable[[str], None], gaps: bool = False) -> Record:
+    """Read a file and check it, see `checked`. Names of the channels in files of others are those of the rig file."""
+    aliases = {c.name: c.alias for c in rig.file.channel if c.alias}
+    return checked(path, read(path, [c.name for c in rig.model.channels], aliases), rig, rate_hz, note, gaps)
 
 
 def checked(
@@ -52,23 +72,33 @@ def checked(
         raise LogError(f"{path}: channels of unequal length: {text}; cut them to the same samples")
     if lengths[names[0]] < 2:
         raise LogError(f"{path}: {lengths[names[0]]} samples; there is nothing to import")
-    rate = _rate(path, columns, rate_hz, lengths[names[0]])
+    rate, rows = _rate(path, columns, rate_hz, lengths[names[0]], rig, gaps, note)
     if rig.model.band[1] >= rate / 2:
         text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {rate:g} Hz"
-        raise LogError(f"{path}: {text}; lower band.high, or check the rate")
+        unsure = "" if columns.time_unit_said else ', or whether its time is in s (write "time [ms]" if it is not)'
+        raise LogError(f"{path}: {text}; lower band.high, or check the rate{unsure}")
     if columns.odd:
         note(columns.odd)
     missing = _finite(path, names, values, rate, gaps)
-    factors = tuple(_factor(path, columns, rig, c.name) for c in rig.file.channel)
+    if rows is not None:
+        values, missing = _spread(values, rows, missing)
+    to = [_conversion(path, columns, rig, c, note) for c in rig.file.channel]
     if rig.acquisition is not None and abs(rate / rig.acquisition.rate_hz - 1) > RATE_TOLERANCE:
         note(f"{rate:g} Hz, where the rig file expects {rig.acquisition.rate_hz:g} Hz; the file's rate is used")
-    return Record(names=names, values=values, factors=factors, rate_hz=rate, missing=missing)
+    return Record(
+        names=names, values=values, factors=tuple(c.scale for c in to), rate_hz=rate, missing=missing,
+        offsets=tuple(c.offset for c in to), started_ns=columns.started_ns,
+    )  # fmt: skip
 
 
 def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
+    if name in columns.twice:
+        raise LogError(f"{path}: {columns.twice[name]}")
     if name not in columns.values:
         held = [k for k in columns.values if k not in rig.units] or list(columns.values)
-        raise LogError(f'{path}: has no channel "{name}" of the rig; {did_you_mean(name, held, "it has")}')
+        remedy = did_you_mean(name, held, "it has")
+        say = "; alias = of a channel in the rig file says what a file calls it" if held else ""
+        raise LogError(f'{path}: has no channel "{name}" of the rig; {remedy}{say}')
     value = np.squeeze(np.asarray(columns.values[name]))
     if value.ndim != 1:
         raise LogError(f"{path}: {name} is an array of shape {np.shape(columns.values[name])}; one column is needed")
@@ -77,25 +107,47 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
     return value
 
 
-def _rate(path: Path, columns: Columns, given: float | None, samples: int) -> float:
-    said = columns.rate_hz
-    if said is None and columns.time is not None:
-        time = np.squeeze(np.asarray(columns.time))
-        if time.dtype.kind not in "iuf":
-            raise LogError(f"{path}: the time column holds {time.dtype}, not real numbers; give seconds")
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # times at the end of the floats
-            said = _uniform(path, time.astype(np.float64), samples)
+def _rate(
+    path: Path, columns: Columns, given: float | None, samples: int, rig: Rig, gaps: bool, note: Callable[[str], None]
+) -> tuple[float, NDArray[np.int64] | None]:
+    """The rate in Hz, and the rows of the samples in a record with holes; all that is said of it has to agree."""
+    said, rows, of_time = columns.rate_hz, None, None
     if said is not None and not (np.isfinite(said) and said > 0):
         raise LogError(f"{path}: a rate of {said:g} Hz; correct rate_hz")
-    if said is not None and given is not None and abs(given / said - 1) > RATE_TOLERANCE:
-        raise LogError(f"{path}: the file says {said:.9g} Hz, --rate says {given:g} Hz; leave --rate out or correct it")
-    if said is None and given is None:
+    if columns.time is not None:
+        time = np.squeeze(np.asarray(columns.time))
+        if said is not None and time.shape != (samples,):
+            note(f"its time has {time.size} values where the channels have {samples}: not used, as it says a rate too")
+        elif time.dtype.kind not in "iuf":
+            raise LogError(f"{path}: the time column holds {time.dtype}, not real numbers; give seconds")
+        else:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # times at the end of the floats
+                of_time, rows = _uniform(path, time.astype(np.float64), samples, gaps)
+    expected = said or given or (rig.acquisition.rate_hz if rig.acquisition else None)
+    if of_time is not None and expected is not None and not columns.time_unit_said:
+        unit = next((u for u, f in FACTOR_OF_UNIT.items() if abs(of_time / expected / f - 1) < FACTOR_TOLERANCE), None)
+        if unit is not None:
+            text = (
+                f"its time says no unit: in s it gives {of_time:g} Hz, in {unit} the {expected:g} Hz that are expected"
+            )
+            raise LogError(f'{path}: {text}; call it "time [{unit}]", or "time [s]" if that is meant')
+    if said is not None and of_time is not None and abs(of_time / said - 1) > RATE_TOLERANCE:
+        text = f"says a rate of {said:.6g} Hz, but its time gives {of_time:.6g} Hz"
+        raise LogError(f"{path}: {text}; remove or correct the one that is wrong")
+    known = said if of_time is None else of_time if said is None else said
+    if known is not None and not (np.isfinite(known) and known > 0):
+        raise LogError(f"{path}: a rate of {known:g} Hz; correct the time column")
+    if known is not None and given is not None and abs(given / known - 1) > RATE_TOLERANCE:
+        raise LogError(
+            f"{path}: the file says {known:.9g} Hz, --rate says {given:g} Hz; leave --rate out or correct it"
+        )
+    if known is None and given is None:
         raise LogError(f"{path}: does not say its sampling rate; give --rate HZ")
-    return float(said if said is not None else given or 0.0)
+    return float(known if known is not None else given or 0.0), rows
 
 
-def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
-    """The rate of a time column, which must be uniform."""
+def _uniform(path: Path, time: NDArray[np.float64], samples: int, gaps: bool) -> tuple[float, NDArray[np.int64] | None]:
+    """The rate of a time column, which must be uniform but for holes, if `gaps`; then also the row of each sample."""
     if time.shape != (samples,):
         raise LogError(f"{path}: the time column has {time.size} rows, the channels {samples}; cut both to one length")
     if not np.isfinite(time).all():
@@ -106,50 +158,88 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
         row = int(np.argmax(steps <= 0)) + 1
         raise LogError(f"{path}: time does not increase at row {row} ({time[row]:g} s); sort or repair the time column")
     jumps = np.flatnonzero(steps > (1 + MAX_LATE_SAMPLES * 2) * step)
-    if jumps.size:
+    rows = np.arange(samples)
+    if jumps.size and not gaps:
         row, lost = int(jumps[0]) + 1, float(steps[jumps[0]]) / step - 1
         more = f", and there are {jumps.size - 1} more gaps" if jumps.size > 1 else ""
         text = f"about {lost:.0f} samples are missing before row {row} (t = {time[row]:g} s){more}"
-        raise LogError(f"{path}: {text}; import the parts by themselves")
-    slope = (time[-1] - time[0]) / (samples - 1)
-    late = np.abs(time - time[0] - slope * np.arange(samples)) / slope
+        raise LogError(f"{path}: {text}; import with --gaps, or the parts by themselves")
+    if jumps.size:
+        whole = np.ones(samples - 1)
+        whole[jumps] = np.rint(steps[jumps] / step)
+        if whole.sum() > MOST_ROWS:
+            raise LogError(f"{path}: its gaps are {whole.sum():.3g} samples long; import the parts by themselves")
+        rows = np.concatenate([[0], np.cumsum(whole.astype(np.int64))])
+    slope = (time[-1] - time[0]) / rows[-1]
+    late = np.abs(time - time[0] - slope * rows) / slope
     if late.max() > MAX_LATE_SAMPLES:
         row = int(late.argmax())
         text = f"not sampled uniformly: row {row} is {late[row]:.2f} samples off its place"
         raise LogError(f"{path}: {text}; resample it, or leave the time column out and give --rate")
     rate = float(1.0 / slope)
-    whole = float(np.rint(rate))
-    return whole if abs(rate - whole) < 1e-6 * rate else rate  # printed times are rounded
+    whole_hz = float(np.rint(rate))
+    rate = whole_hz if abs(rate - whole_hz) < 1e-6 * rate else rate  # printed times are rounded
+    return rate, rows if jumps.size else None
 
 
-def _factor(path: Path, columns: Columns, rig: Rig, name: str) -> float:
-    table = next(c for c in rig.file.channel if c.name == name)
-    unit = columns.units.get(name)
-    if unit is not None and canonical(unit) != canonical(table.unit):
-        text = f'{name} is in "{unit}" there, and in "{table.unit}" in the rig file'
-        raise LogError(f"{path}: {text}; correct one of them")
-    if columns.full_scale_counts is None:
-        return factor(table.kind, table.unit)
-    if rig.acquisition is None or rig.acquisition.full_scale is None:
-        text = f"holds bare counts; say in the rig file what full scale is, as acquisition.full_scale in {table.unit}"
+def _spread(
+    values: tuple[NDArray[Any], ...], rows: NDArray[np.int64], missing: NDArray[np.bool_] | None
+) -> tuple[tuple[NDArray[Any], ...], NDArray[np.bool_]]:
+    """Samples at their rows, and which rows are not there."""
+    length = int(rows[-1]) + 1
+    gone = np.ones(length, bool)
+    gone[rows] = False if missing is None else missing
+    out = []
+    for value in values:
+        column = np.zeros(length, value.dtype)
+        column[rows] = value
+        out.append(column if value.dtype.kind != "f" else np.where(gone, np.nan, column))
+    return tuple(out), gone
+
+
+def _conversion(
+    path: Path, columns: Columns, rig: Rig, channel: ChannelTable, note: Callable[[str], None]
+) -> Conversion:
+    """How the values of a channel become SI."""
+    stated = columns.units.get(channel.name) or columns.units_of_kind.get(channel.kind, "")
+    try:
+        to = conversion(channel, stated)
+    except ValueError as error:
+        raise LogError(f"{path}: {channel.name} {error}") from error
+    if stated and to.unit != canonical(channel.unit):
+        note(f'{channel.name} is in "{stated}" there, and in "{channel.unit}" in the rig file: converted')
+    counts = columns.full_scale_counts
+    full_scale = None if rig.acquisition is None else rig.acquisition.full_scale
+    if counts is None:
+        return to
+    if counts == 1:  # floats within +-1
+        if full_scale is None:
+            text = f"its samples are floats within +-1, taken as {channel.unit}"
+            note(f"{text}; if 1 is full scale, say acquisition.full_scale in the rig file")
+            return to
+        note(f"its samples are floats within +-1: 1 is taken as full scale, {full_scale:g} {channel.unit}")
+    elif full_scale is None:
+        text = f"holds bare counts; say in the rig file what full scale is, as acquisition.full_scale in {channel.unit}"
         raise LogError(f"{path}: {text}")
-    return factor(table.kind, table.unit) * rig.acquisition.full_scale / columns.full_scale_counts
+    return replace(to, scale=to.scale * full_scale / counts)
 
 
 def _finite(
     path: Path, names: tuple[str, ...], values: tuple[NDArray[Any], ...], rate: float, gaps: bool
 ) -> NDArray[np.bool_] | None:
-    bad = [~np.isfinite(v) if v.dtype.kind == "f" else np.zeros(len(v), bool) for v in values]
+    with np.errstate(invalid="ignore"):
+        bad = [~(np.abs(v) < NO_VALUE) if v.dtype.kind == "f" else np.zeros(len(v), bool) for v in values]
     if not any(b.any() for b in bad):
         return None
     everywhere: NDArray[np.bool_] = np.logical_and.reduce(bad)
     if gaps and all(np.array_equal(b, everywhere) for b in bad):
         return everywhere
-    for name, b in zip(names, bad, strict=True):
+    for name, value, b in zip(names, values, bad, strict=True):
         if b.any():
             row = int(b.argmax())
             count = f"{b.sum():d} row{'s' if b.sum() > 1 else ''} in all"
-            text = f"{name} is not a number at row {row} (t = {row / rate:.6g} s), {count}"
+            what = "not a number" if not np.isfinite(value[row]) else f'{value[row]:g}, which stands for "no value",'
+            text = f"{name} is {what} at row {row} (t = {row / rate:.6g} s), {count}"
             break
     remedy = "cut the record there, or import with --gaps where all channels are missing together"
     raise LogError(f"{path}: {text}; {remedy}")

@@ -1,25 +1,34 @@
-"""Reads a .mf4 or .mat file for import_formats: python -m daq.exchange.child FILE OUT.npz CHANNEL...
+"""Reads files in binary formats for `formats`: python -m daq.exchange.child FILE OUT.npz CHANNEL...
 
-A process of its own, because compiled parts of the libraries for these formats (asammdf, scipy) crash on some damaged
-files. OUT gets the columns, their names and units, and the rate or the time. Exit status TOLD (a complete sentence) or
-REFUSED (what the library said): the last line of standard error has it. NO_MEMORY: the memory was not enough.
+A process of its own, because compiled parts of the libraries for these formats (asammdf, scipy, h5py) crash on some
+damaged files. OUT gets the columns, their names and units, and the rate or the time. Exit status TOLD (a complete
+sentence) or REFUSED (what the library said): the last line of standard error has it. NO_MEMORY: the memory was not
+enough.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .columns import START_NAMES, plain, stated_rate, time_unit
+
 REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
+OLDEST_S = 315_532_800.0  # Unix time of 1980: dates before it are of clocks that were never set
+MOST_LEVELS = 8  # of structs in structs
+TIME_MASTER = 1  # asammdf's sync_type of a master channel that is a time; 0 of one that says nothing
+MASTER_KINDS = ("nothing", "time", "an angle", "a distance", "an index")
+_COLUMN_OF = re.compile(r"^(.+)\(:,\s*(\d+)\)$")  # "data(:,2)" of a matrix
 
 
 class Told(ValueError):
@@ -28,12 +37,21 @@ class Told(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """values : of the channels asked for; others are there by name only."""
+    """What a file holds.
+
+    values : of the channels asked for; others are there by name only. rates : names and numbers of what says a rate.
+    time : by the name `time_name`. started : Unix time in ns, or a date as text. twice : of names that are there
+    several times, what to say. odd : what the user should know.
+    """
 
     values: dict[str, NDArray[Any]]
-    rate: NDArray[Any] | None = None
+    rates: list[tuple[str, float]] = field(default_factory=list)
     time: NDArray[Any] | None = None
     units: dict[str, str] = field(default_factory=dict)
+    time_name: str = "time"
+    started: int | str | None = None
+    twice: dict[str, str] = field(default_factory=dict)
+    odd: str = ""
 
 
 def _mf4(path: Path, names: Sequence[str]) -> Found:
@@ -45,16 +63,60 @@ def _mf4(path: Path, names: Sequence[str]) -> Found:
 
 def of_mf4(file: Any, names: Sequence[str]) -> Found:
     """An open file. Raises whatever asammdf does over a damaged one."""
-    found = [n for n in names if n in file.channels_db]
-    if not found:
-        return Found({n: np.empty(0) for n in file.channels_db if "time" not in n.lower()})
-    signals = [file.get(n, *file.channels_db[n][0]) for n in found]
-    time = signals[0].timestamps
-    for n, s in zip(found, signals, strict=True):
+    places, twice = {}, {}
+    for name in names:
+        group, _, own = name.partition("/")
+        there = list(file.channels_db.get(name, ()))
+        if not there and own and group.isdecimal():  # as the message below has it
+            there = [place for place in file.channels_db.get(own, ()) if place[0] == int(group)]
+            places[name] = (own, *there[0]) if there else ()
+        elif len(there) > 1 and not _same(file, name, there):
+            groups = ", ".join(f"{g}{_named(file, g)}" for g, _ in there[:6])
+            text = f"{name} is in {len(there)} groups of the file, {groups}, with other data in each"
+            twice[name] = f'{text}; say which one by alias = "{there[0][0]}/{name}" of its channel in the rig file'
+        elif there:
+            places[name] = (name, *there[0])
+    places = {name: place for name, place in places.items() if place}
+    others = {n: np.empty(0) for n in file.channels_db if n not in places and time_unit(n) is None and n not in twice}
+    if not places:
+        return Found(others, twice=twice)
+    signals = {name: file.get(*place) for name, place in places.items()}
+    first = next(iter(signals))
+    time = signals[first].timestamps
+    for n, s in signals.items():
+        _over_time(file, n, places[n][1])
         if len(s.timestamps) != len(time) or not np.array_equal(s.timestamps, time):
-            raise Told(f"{n} was not sampled at the same times as {found[0]}; resample them to one time first")
-    units = {n: s.unit for n, s in zip(found, signals, strict=True) if s.unit}
-    return Found({n: s.samples for n, s in zip(found, signals, strict=True)}, None, time, units)
+            raise Told(f"{n} was not sampled at the same times as {first}; resample them to one time first")
+    units = {n: s.unit for n, s in signals.items() if s.unit}
+    begun = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
+    started = round(begun * 1e6) * 1000 if begun > OLDEST_S else None
+    return Found({n: s.samples for n, s in signals.items()} | others, [], time, units, started=started, twice=twice)
+
+
+def _same(file: Any, name: str, places: Sequence[tuple[int, int]]) -> bool:
+    """Whether all of these hold one signal."""
+    first, *rest = (file.get(name, *place) for place in places)
+    return all(
+        np.array_equal(first.samples, s.samples) and np.array_equal(first.timestamps, s.timestamps) for s in rest
+    )
+
+
+def _named(file: Any, group: int) -> str:
+    name = getattr(file.groups[group].channel_group, "acq_name", "")
+    return f' ("{name}")' if name else ""
+
+
+def _over_time(file: Any, name: str, group: int) -> None:
+    """Raise Told if a channel was recorded over something else than time."""
+    index = file.masters_db.get(group)
+    if index is None:
+        raise Told(f"{name} has no master channel, so that the file does not say when it was sampled; export it anew")
+    master = file.groups[group].channels[index]
+    kind = getattr(master, "sync_type", TIME_MASTER)
+    if kind not in (0, TIME_MASTER):
+        over = MASTER_KINDS[kind] if kind < len(MASTER_KINDS) else "something else"
+        text = f'{name} was recorded over {over} (master channel "{master.name}"), not over time'
+        raise Told(f"{text}; resample it to time, and export it again")
 
 
 def _mat(path: Path, names: Sequence[str]) -> Found:
@@ -62,26 +124,175 @@ def _mat(path: Path, names: Sequence[str]) -> Found:
 
     try:
         file = scipy.io.loadmat(path, squeeze_me=True)
-    except NotImplementedError as error:
-        raise Told("a MATLAB 7.3 file (HDF5); save it with -v7") from error
+    except NotImplementedError:  # MATLAB 7.3, which is HDF5
+        return _hdf5(path, names, "save it with -v7")
     return of_mat(file, names)
 
 
 def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
-    """What scipy made of it, by name."""
-    rate = file.get("rate_hz", file.get("fs"))
-    values = {k: np.asarray(v) for k, v in file.items() if not k.startswith("__") and np.ndim(v) >= 1}
-    time = values.pop("time", None) if "time" not in names else None
-    values = {k: v if k in names else np.empty(0) for k, v in values.items()}
-    return Found(values, None if rate is None else np.asarray(rate), time if rate is None else None)
+    """What scipy made of it, by name; of structs by the names of their fields, as in MATLAB."""
+    leaves: dict[str, Any] = {}
+    for name, value in file.items():
+        if not name.startswith("__"):
+            leaves.update(_fields(name, value))
+    found = of_leaves(leaves, names, ".")
+    opaque = [k for k, v in file.items() if type(v).__name__ == "MatlabOpaque"]
+    if opaque and not any(np.size(v) for v in found.values.values()):
+        text = f'"{opaque[0]}" is an object (a table, timetable or timeseries), which only MATLAB reads'
+        raise Told(f"{text}; save its columns as plain arrays: x = T.x; save(FILE, 'x', 'fs')")
+    return found
 
 
-READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Found]] = {".mf4": _mf4, ".mat": _mat}
+def _fields(name: str, value: Any, level: int = 0) -> Iterator[tuple[str, Any]]:
+    """Leaves of a struct: "data.x"."""
+    fields = getattr(getattr(value, "dtype", None), "names", None)
+    if fields and np.size(value) == 1 and level < MOST_LEVELS:
+        record = value.item() if isinstance(value, np.ndarray) else value
+        for k, own in enumerate(fields):
+            yield from _fields(f"{name}.{own}", record[k], level + 1)
+    else:
+        yield name, value
+
+
+def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -> Found:
+    """Arrays and numbers by their paths. A name that is the end of one path only is enough."""
+    picked, twice = {}, {}
+    for name in names:
+        ends = [p for p in leaves if p == name] or [p for p in leaves if p.rpartition(separator)[2] == name]
+        if len(ends) > 1:
+            text = f"{name} is there {len(ends)} times, as {', '.join(ends[:5])}"
+            twice[name] = f'{text}; say which one by alias = "{ends[0]}" of its channel in the rig file'
+        elif ends:
+            picked[name] = leaves[ends[0]], ends[0]
+        elif (part := _COLUMN_OF.match(name)) and np.ndim(leaves.get(part[1], 0)) == 2:
+            table = np.asarray(leaves[part[1]])
+            if 1 <= int(part[2]) <= table.shape[1]:
+                picked[name] = table[:, int(part[2]) - 1], part[1]
+    homes = {path.rpartition(separator)[0] for _, path in picked.values()} or {""}
+    taken = {path for _, path in picked.values()}
+    near = {p: v for p, v in leaves.items() if p not in taken and _beside(p.rpartition(separator)[0], homes)}
+    ends_of = {p: p.rpartition(separator)[2] for p in near}
+    rates = stated_rate((ends_of[p], v) for p, v in near.items() if np.size(v) == 1)
+    times = [p for p in near if time_unit(ends_of[p]) is not None and np.size(near[p]) > 1]
+    started = next((_text_of(v) for p, v in near.items() if plain(ends_of[p]) in START_NAMES), None)
+    others = {p: np.empty(0) for p, v in leaves.items() if p not in taken and p not in times and np.ndim(v) >= 1}
+    values = {name: np.asarray(value) for name, (value, _) in picked.items()}
+    time = np.asarray(near[times[0]]) if times else None
+    time_name = ends_of[times[0]] if times else "time"
+    if time is not None and time.dtype.kind not in "iufM":
+        time = None if rates else time
+    return Found(values | others, rates, time, {}, time_name, started, twice)
+
+
+def _beside(home: str, homes: set[str]) -> bool:
+    """Whether what lies there speaks of the channels: in the same place, or above."""
+    return not home or any(h == home or h.startswith(home) for h in homes)
+
+
+def _text_of(value: Any) -> str | None:
+    """A text in whatever a file keeps it."""
+    value = np.ravel(value)[0] if np.size(value) == 1 else value
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, np.ndarray) and value.dtype == np.uint16:  # of MATLAB 7.3
+        return "".join(map(chr, value.ravel().tolist()))
+    return value if isinstance(value, str) else None
+
+
+def _hdf5(path: Path, names: Sequence[str], remedy: str = "export it to .csv or .mat") -> Found:
+    try:
+        import h5py
+    except ImportError as error:
+        raise Told(f"an HDF5 file, which needs h5py: pip install rotorscope[files]; or {remedy}") from error
+    leaves: dict[str, Any] = {}
+    units: dict[str, str] = {}
+
+    def take(name: str, item: Any) -> None:
+        for key, value in item.attrs.items():
+            if not key.startswith("MATLAB"):
+                if plain(key) in ("unit", "units"):
+                    units[name] = _text_of(value) or ""
+                else:
+                    leaves.setdefault(f"{name}/{key}" if isinstance(item, h5py.Group) else key, value)
+        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+            leaves[name] = item
+
+    with h5py.File(path, "r") as file:
+        for key, value in file.attrs.items():
+            leaves[key] = value
+        file.visititems(take)
+        found = of_leaves(leaves, names, "/")
+    ends = {path.rpartition("/")[2]: unit for path, unit in units.items()} | units
+    return replace(found, units={n: ends[n] for n in found.values if ends.get(n)})
+
+
+def _tdms(path: Path, names: Sequence[str]) -> Found:
+    try:
+        from nptdms import TdmsFile
+    except ImportError as error:
+        raise Told("a TDMS file needs nptdms: pip install rotorscope[files]; or export it to .csv") from error
+    with TdmsFile.open(path) as file:
+        channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+        steps = [
+            (p, float(c.properties["wf_increment"])) for p, c in channels.items() if "wf_increment" in c.properties
+        ]
+        leaves: dict[str, Any] = {p: _Lazy(c) for p, c in channels.items()}
+        found = of_leaves(leaves, names, "/")
+        asked = {n: [p for p in channels if p == n or p.rpartition("/")[2] == n] for n in names if n in found.values}
+        of = [c for paths in asked.values() for c in (channels[p] for p in paths[:1])]
+        units = {n: str(channels[p[0]].properties.get("unit_string", "")) for n, p in asked.items() if p}
+        begun = [c.properties["wf_start_time"] for c in of if "wf_start_time" in c.properties]
+        mine = {p for paths in asked.values() for p in paths}
+    rates = [(f"wf_increment of {p}", 1.0 / step) for p, step in steps if step > 0 and p in mine]
+    started = int(np.datetime64(begun[0], "ns").astype(np.int64)) if begun else found.started
+    units = {n: u for n, u in units.items() if u}
+    return replace(found, rates=found.rates + rates, units=units, started=started)
+
+
+class _Lazy:
+    """A channel whose samples are read when they are asked for."""
+
+    def __init__(self, channel: Any) -> None:
+        self._channel = channel
+        self.shape, self.ndim, self.size = (len(channel),), 1, len(channel)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self._channel[:], dtype)
+
+
+def _parquet(path: Path, names: Sequence[str]) -> Found:
+    try:
+        from pyarrow import parquet
+    except ImportError as error:
+        raise Told("a Parquet file needs pyarrow: pip install rotorscope[files]; or export it to .csv") from error
+    file = parquet.ParquetFile(path)
+    schema = file.schema_arrow
+    wanted = [n for n in schema.names if n in names or time_unit(n) is not None]
+    table = file.read(columns=wanted)
+    leaves: dict[str, Any] = {n: table[n].to_numpy() for n in wanted}
+    leaves = {n: leaves.get(n, np.empty(0)) for n in schema.names}
+    for key, value in (schema.metadata or {}).items():
+        text = value.decode("utf-8", "replace")
+        leaves.setdefault(key.decode("utf-8", "replace"), _as_number(text) if len(text) < 40 else text)
+    units = {f.name: m[b"unit"].decode() for f in schema if b"unit" in (m := f.metadata or {})}
+    return replace(of_leaves(leaves, names, "/"), units=units)
+
+
+def _as_number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Found]] = {
+    ".mf4": _mf4, ".mdf": _mf4, ".mat": _mat, ".h5": _hdf5, ".hdf5": _hdf5, ".tdms": _tdms, ".parquet": _parquet,
+}  # fmt: skip
 
 
 def _plain(value: NDArray[Any]) -> NDArray[Any]:
     """Numbers as they are. Objects do not travel (they would need pickle): only that they are none is told."""
-    return value if value.dtype.kind in "biufc" else np.zeros(value.shape[:1], "S1")
+    return value if value.dtype.kind in "biufcM" else np.zeros(value.shape[:1], "S1")
 
 
 def _text(value: Any) -> NDArray[np.uint8]:
@@ -91,10 +302,13 @@ def _text(value: Any) -> NDArray[np.uint8]:
 
 def answer(found: Found) -> dict[str, NDArray[Any]]:
     """What travels."""
-    arrays: dict[str, NDArray[Any]] = {"names": _text(list(found.values)), "units": _text(found.units)}
+    about = {
+        "units": found.units, "rates": found.rates, "time": found.time_name, "started": found.started, "odd": found.odd,
+        "twice": found.twice,
+    }  # fmt: skip
+    arrays: dict[str, NDArray[Any]] = {"names": _text(list(found.values)), "about": _text(about)}
     arrays |= {f"column {k}": _plain(v) for k, v in enumerate(found.values.values())}
-    extra = {"rate": found.rate, "time": found.time}
-    return arrays | {k: _plain(v) for k, v in extra.items() if v is not None}
+    return arrays if found.time is None else arrays | {"time": _plain(found.time)}
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -2,64 +2,48 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import islice
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, TextIO
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.base.console.memory import bounded_memory
 from daq.base.contract.errors import LogError
 
 from . import child
+from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit
+from .csv_file import read_csv
+from .uff_file import read_uff
+from .wav_file import read_wav
 
-Column = NDArray[Any]
-CSV_ROWS = 200_000  # parsed at a time
-LONGEST_LINE = 1 << 20  # bytes
-MOST_CHUNKS = 10_000  # of a .wav before its samples
-_TITLE_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """What a file holds. units : of those columns whose unit the file says; time : s, if the file has one.
-
-    full_scale_counts : the count at full scale if the columns are bare counts (PCM audio), else None. odd : what the
-    user should know of a file that was read all the same.
-    """
-
-    values: Mapping[str, Column]
-    rate_hz: float | None = None
-    time: Column | None = None
-    units: Mapping[str, str] = field(default_factory=dict)
-    full_scale_counts: int | None = None
-    odd: str = ""
+RATE_TOLERANCE = 2e-3  # between two statements of the rate
 
 
-def read(path: Path, names: Sequence[str]) -> Columns:
-    """The columns of a file, by its ending. names : of the rig's channels, for formats that name none (.wav).
+def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = None) -> Columns:
+    """The columns of a file, by its ending.
 
+    names : of the rig's channels, in its order: a .wav names none. aliases : channel -> its name in the file.
     Raises LogError for a file that is missing, of an unknown ending, or not what its ending says.
     """
     reader = READER_OF_SUFFIX.get(path.suffix.lower())
     if reader is None:
         known = ", ".join([*READER_OF_SUFFIX, ".log, .blf, .asc (CAN, with a DBC)"])
-        raise LogError(f'{path}: cannot import a file that ends in "{path.suffix}"; known are {known}')
+        remedy = REMEDY_OF_SUFFIX.get(path.suffix.lower(), "")
+        raise LogError(f'{path}: cannot import a file that ends in "{path.suffix}"; {remedy}known are {known}')
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     try:
         with bounded_memory(path.stat().st_size) as bound:
-            return reader(path, names)
+            if reader is read_wav or not aliases:
+                return reader(path, names)
+            return by_channel(reader(path, [*names, *aliases.values()]), aliases)
     except (LogError, KeyboardInterrupt):
         raise
     except MemoryError as error:
@@ -72,6 +56,19 @@ def read(path: Path, names: Sequence[str]) -> Columns:
         ) from error
 
 
+def by_channel(columns: Columns, aliases: Mapping[str, str]) -> Columns:
+    """With the names of the channels in place of those in the file; what the file calls a channel is left as it is."""
+    values, units, twice = dict(columns.values), dict(columns.units), dict(columns.twice)
+    for name, alias in aliases.items():
+        if alias in values:
+            values[name] = values.pop(alias)
+            units[name] = units.pop(alias, "")
+            twice.pop(name, None)
+        elif alias in twice:
+            twice[name] = twice[alias]
+    return replace(columns, values=values, units=units, twice=twice)
+
+
 def _npz(path: Path, names: Sequence[str]) -> Columns:
     with path.open("rb") as stream:
         file = np.load(stream, allow_pickle=False)
@@ -82,11 +79,48 @@ def _npz(path: Path, names: Sequence[str]) -> Columns:
 
 def of_npz(path: Path, file: Mapping[str, Column], names: Sequence[str]) -> Columns:
     """An open archive. Raises whatever numpy does over a damaged member."""
-    rate = _scalar(path, file["rate_hz"]) if "rate_hz" in file else None
-    time = file["time"] if "time" in file and rate is None else None
-    known = {*names, "rate_hz", "time"}
+    rates = stated_rate(
+        (k, _scalar(path, file[k]) if k == "rate_hz" else file[k]) for k in file if _says_rate(k, names)
+    )
+    times = [k for k in file if k not in names and time_unit(k) is not None]
+    known = {*names, *times, *(k for k, _ in rates), "channels", "units", "started"}
     others = dict.fromkeys([k for k in file if k not in known], np.empty(0))  # for messages only
-    return Columns({k: file[k] for k in names if k in file} | others, rate, time)
+    columns = Columns({k: file[k] for k in names if k in file} | others, one_rate(path, rates))
+    if {"channels", "units"} <= set(file):
+        channels, units = (np.ravel(file[k]).astype(str).tolist() for k in ("channels", "units"))
+        columns = replace(columns, units={n: u for n, u in zip(channels, units, strict=False) if u})
+    if "started" in file and np.size(file["started"]) == 1:
+        columns = replace(columns, started_ns=date_ns(str(np.ravel(file["started"])[0])))
+    return with_time(path, columns, times[0], file[times[0]]) if times else columns
+
+
+def _says_rate(name: str, names: Sequence[str]) -> bool:
+    return name not in names and bool(stated_rate([(name, 1.0)]))
+
+
+def one_rate(path: Path, rates: Sequence[tuple[str, float]]) -> float | None:
+    """The rate that a file says, Hz. Raises LogError if it says two."""
+    for name, rate in rates[1:]:
+        if not np.isclose(rate, rates[0][1], rtol=RATE_TOLERANCE):
+            text = f"{rates[0][0]} says {rates[0][1]:g} Hz, {name} {rate:g} Hz"
+            raise LogError(f"{path}: {text}; remove the one that is wrong")
+    return rates[0][1] if rates else None
+
+
+def with_time(path: Path, columns: Columns, name: str, time: Column) -> Columns:
+    """With a time vector of this name, in s from here on."""
+    unit, time = time_unit(name, columns.units.get(name, "")), np.squeeze(np.asarray(time))
+    if isinstance(unit, str):
+        raise LogError(f'{path}: {name} is in "{unit}", which is no unit of time; write s, ms, us, ns, min or h')
+    if time.dtype.kind == "M":
+        stamps = time.astype("datetime64[ns]").astype(np.int64)
+        first = int(stamps[0]) if stamps.size else None
+        return replace(columns, time=(stamps - (first or 0)) * 1e-9, started_ns=columns.started_ns or first)
+    if time.dtype.kind not in "iuf" or unit is None or time.ndim != 1:
+        return replace(columns, time=time)  # said when it is needed
+    seconds, started_ns = in_seconds(time.astype(np.float64), unit)
+    said = started_ns is not None or not np.isnan(unit)
+    return replace(columns, time=seconds, started_ns=columns.started_ns or started_ns, time_unit_said=said)
 
 
 def _scalar(path: Path, value: Any) -> float:
@@ -95,69 +129,6 @@ def _scalar(path: Path, value: Any) -> float:
     if numbers.size != 1 or numbers.dtype.kind not in "iuf":
         raise LogError(f"{path}: rate_hz is {numbers.dtype} of shape {np.shape(value)}; one number is needed, in Hz")
     return float(numbers[0])
-
-
-def _csv(path: Path, names: Sequence[str]) -> Columns:
-    with path.open("rb") as file:
-        start = file.read(LONGEST_LINE)
-        if len(start) == LONGEST_LINE and not {*b"\r\n"} & {*start}:
-            raise LogError(
-                f"{path}: its first line does not end within a megabyte; a table with a row a line is needed"
-            )
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        skipped, header, delimiter = _header(file)
-        titles = [m[1] if (m := _TITLE_WITH_UNIT.match(h)) else h for h in header]
-        if len(set(titles)) < len(titles):
-            twice = next(t for i, t in enumerate(titles) if t in titles[:i])
-            raise LogError(f'{path}: the header names "{twice}" twice; rename one column')
-        units = {t: m[2] for t, h in zip(titles, header, strict=True) if (m := _TITLE_WITH_UNIT.match(h))}
-        wanted = [i for i, t in enumerate(titles) if t in names or t.lower() == "time"]
-        others = {t: np.empty(0) for t in titles if t not in names and t.lower() != "time"}  # for messages only
-        parts: list[NDArray[np.float64]] = []
-        row, last = skipped + 1, "\n"
-        while lines := list(islice(file, CSV_ROWS)):
-            parts.append(_numbers(path, lines, delimiter, row, titles, wanted))
-            row, last = row + len(lines), lines[-1]
-    odd = (
-        "" if last.endswith(("\n", "\r")) else "the last line has no end; if the file was cut, its last number is wrong"
-    )
-    table = np.concatenate(parts) if parts else np.empty((0, len(wanted)))
-    columns = {titles[i]: table[:, k] for k, i in enumerate(wanted)}
-    time = next((columns.pop(t) for t in list(columns) if t.lower() == "time" and t not in names), None)
-    return Columns(columns | others, None, time, units, odd=odd)
-
-
-def _header(file: TextIO) -> tuple[int, list[str], str]:
-    """Lines up to the header, its titles, and the delimiter."""
-    for number, line in enumerate(file, 1):
-        if line.strip() and not line.startswith("#"):
-            delimiter = max(",;\t", key=line.count)
-            return number, [t.strip() for t in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter))], delimiter
-    raise LogError(f"{file.name}: is empty; a header of channel names and rows of numbers are needed")
-
-
-def _numbers(
-    path: Path, lines: list[str], delimiter: str, row: int, titles: list[str], wanted: list[int]
-) -> NDArray[np.float64]:
-    if not wanted or not any(line.strip() for line in lines):
-        return np.empty((0, len(wanted)))
-    try:
-        if any(line.count(delimiter) != len(titles) - 1 for line in lines if line.strip()):
-            raise ValueError("a line has more or fewer cells than the header")
-        return np.loadtxt(lines, delimiter=delimiter, usecols=wanted, ndmin=2, comments=None)
-    except ValueError as error:
-        for k, line in enumerate(lines):
-            cells = next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
-            if cells and len(cells) != len(titles):
-                text = f"{len(cells)} cells where the header has {len(titles)}"
-                raise LogError(f"{path}:{row + k}: {text}; repair or cut that line") from error
-            for i in wanted if cells else ():
-                try:
-                    float(cells[i])
-                except ValueError:
-                    what = f'"{cells[i]}" is not a number' if cells[i].strip() else "the cell is empty"
-                    raise LogError(f"{path}:{row + k}: {titles[i]}: {what}; repair or cut that line") from error
-        raise
 
 
 def _elsewhere(path: Path, names: Sequence[str]) -> Columns:
@@ -189,88 +160,26 @@ def answered(path: Path, out: Path, status: int, said: str) -> Columns:
 def of_answer(path: Path, file: Mapping[str, Column]) -> Columns:
     """An open file of columns. Raises whatever numpy and json do over a damaged one."""
     values = {str(name): file[f"column {k}"] for k, name in enumerate(json.loads(file["names"].tobytes()))}
-    units = {str(name): str(unit) for name, unit in json.loads(file["units"].tobytes()).items()}
-    rate = _scalar(path, file["rate"]) if "rate" in file else None
-    return Columns(values, rate, file.get("time"), units)
+    about = json.loads(file["about"].tobytes())
+    units = {str(name): str(unit) for name, unit in about["units"].items()}
+    rates = [(str(name), float(rate)) for name, rate in about["rates"]]
+    started = about.get("started")
+    started_ns = started if isinstance(started, int) else None if started is None else date_ns(str(started))
+    twice = {str(name): str(text) for name, text in about.get("twice", {}).items()}
+    odd = str(about.get("odd", ""))
+    columns = Columns(values, one_rate(path, rates), None, units, odd=odd, started_ns=started_ns, twice=twice)
+    return with_time(path, columns, str(about["time"]), file["time"]) if "time" in file else columns
 
 
-def _uff(path: Path, names: Sequence[str]) -> Columns:
-    import pyuff
-
-    file = pyuff.UFF(str(path))
-    return of_uff(path, (file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58), names)
-
-
-def of_uff(path: Path, sets: Iterable[Mapping[str, Any]], names: Sequence[str]) -> Columns:
-    """Data sets 58 as pyuff has them."""
-    records = [s for s in sets if s.get("func_type") == 1]  # time response
-    if not records:
-        raise LogError(f"{path}: holds no time response (dataset 58, function type 1); export the time histories")
-    values: dict[str, Column] = {}
-    units: dict[str, str] = {}
-    for s in records:
-        labels = [str(s.get(k, "")).strip() for k in ("id1", "id2", "id4", "id5", "rsp_ent_name")]
-        name = next((label for label in labels if label in names), labels[0] or f"record {len(values) + 1}")
-        if name in values:
-            raise LogError(f'{path}: two time responses are called "{name}"; name each after its channel')
-        values[name] = column = np.real(s["data"])
-        if len(column) != s["num_pts"]:
-            text = f"{name} has {len(column)} values, its header says {s['num_pts']}"
-            raise LogError(f"{path}: {text}; the file is cut or damaged: export it again")
-        if np.imag(s["data"]).any():
-            raise LogError(f"{path}: {name} is complex; a time response is real: export the time histories")
-        if unit := str(s.get("ordinate_axis_units_lab", "")).strip().strip("-").removeprefix("NONE"):
-            units[name] = unit
-    steps = {float(s.get("abscissa_inc", 0.0)) for s in records}
-    if len(steps) > 1 or 0.0 in steps:
-        return Columns(values, None, np.asarray(records[0]["x"]), units)
-    return Columns(values, 1.0 / steps.pop(), None, units)
-
-
-def _wav(path: Path, names: Sequence[str]) -> Columns:
-    import warnings
-
-    from scipy.io import wavfile
-
-    missing = _beyond_the_end(path)
-    if missing:
-        text = f"{missing} bytes of the samples it announces are missing: it is cut, or was written through a pipe"
-        raise LogError(f"{path}: {text}; copy or export it again")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that carry no samples
-        rate, data = wavfile.read(path, mmap=False)
-    data = data.reshape(len(data), -1)
-    if data.shape[1] != len(names):
-        text = f"{data.shape[1]} tracks, where the rig has {len(names)} channels ({', '.join(names)})"
-        raise LogError(f"{path}: {text}; a .wav names none, so their number and order must be the rig's")
-    values = {n: data[:, i] for i, n in enumerate(names)}
-    if data.dtype.kind == "f":
-        return Columns(values, float(rate))
-    if data.dtype == np.uint8:
-        raise LogError(f"{path}: 8-bit sound; 16, 24 or 32 bits, or floats, are needed")
-    return Columns(values, float(rate), full_scale_counts=2 ** (8 * data.dtype.itemsize - 1))
-
-
-def _beyond_the_end(path: Path) -> int:
-    """Bytes of samples that a .wav announces and does not hold; the library takes what there is, and is silent."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        order: Literal["little", "big"] = "big" if file.read(12)[:4] == b"RIFX" else "little"
-        long = None  # of a file that may be above 4 GB
-        for _ in range(MOST_CHUNKS):
-            head = file.read(8)
-            name, length = head[:4], int.from_bytes(head[4:], order)
-            if name == b"ds64":
-                long = int.from_bytes(file.read(16)[8:], "little")
-                length -= 16
-            elif name == b"data":
-                return max(file.tell() + (length if long is None else long) - size, 0)
-            file.seek(max(length, 0) + length % 2, 1)
-            if len(head) < 8:
-                break
-    return 0
-
-
+_SHEET_REMEDY = "save the sheet as .csv (UTF-8); "
+REMEDY_OF_SUFFIX = {
+    ".xlsx": _SHEET_REMEDY,
+    ".xls": _SHEET_REMEDY,
+    ".ods": _SHEET_REMEDY,
+    ".dat": "if it is a table of text, name it .csv; ",
+}
 READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Columns]] = {
-    ".npz": _npz, ".csv": _csv, ".mat": _elsewhere, ".mf4": _elsewhere, ".uff": _uff, ".unv": _uff, ".wav": _wav,
+    ".npz": _npz, ".csv": read_csv, ".txt": read_csv, ".tsv": read_csv, ".mat": _elsewhere, ".mf4": _elsewhere,
+    ".mdf": _elsewhere, ".uff": read_uff, ".unv": read_uff, ".uf": read_uff, ".wav": read_wav, ".tdms": _elsewhere,
+    ".h5": _elsewhere, ".hdf5": _elsewhere, ".parquet": _elsewhere,
 }  # fmt: skip

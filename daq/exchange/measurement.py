@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +40,11 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None]) -> Measurement:
 
         log = read_log(path)
         return _measured(path, log.samples(rig, note), log.rate_hz, log.started)
-    from .checks import checked
-    from .formats import read
+    from .checks import load
 
-    record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, None, note)
-    return _measured(path, record.si(), record.rate_hz)
+    record = load(path, rig, None, note)
+    started = None if record.started_ns is None else datetime.fromtimestamp(record.started_ns // 1000 / 1e6, UTC)
+    return _measured(path, record.si(), record.rate_hz, started)
 
 
 def _measured(path: Path, y: NDArray[np.float64], rate_hz: float, started: datetime | None = None) -> Measurement:

@@ -300,11 +300,14 @@ def _answer_members() -> list[bytes]:
     """Of those of a good answer some more often than others: names and units are ours to read, and so is a rate."""
     more = [
         ("names", b'["b1y", "b1x"]'), ("names", b'["b1x", 7]'), ("names", b'{"b1x": 1, "b1y": [1e999]}'),
-        ("names", b'"b1"'), ("units", b'{"b1y": "m/s^2"}'), ("units", b'{"b1x": null, "b1y": {}}'), ("units", b"[]"),
+        ("names", b'"b1"'), *(("about", b'{"units": %s, "rates": [], "time": "time", "started": null}' % units)
+          for units in (b'{"b1y": "m/s^2"}', b'{"b1x": null, "b1y": {}}', b"[]")),
+        *(("about", b'{"units": {}, "rates": %s, "time": "t_ms", "started": %s}' % about)
+          for about in ((b'[["fs", 25600]]', b"0"), (b'[["fs", 1], ["dt", 0]]', b'"2024-05-31"'), (b"{}", b"[]"))),
     ]  # fmt: skip
     texts = [(place, np.frombuffer(text, np.uint8)) for place, text in more]
-    rates = [("rate", np.array(25600.0)), ("rate", np.array([25600])), ("rate", np.array([[2.56e4]], ">f4"))]
-    members = [*GOOD_ANSWER.items(), *texts, *rates]
+    times = [("time", np.arange(6)), ("time", np.array([7], "M8[ns]")), ("time", np.array([[2.56e4]], ">f4"))]
+    members = [*GOOD_ANSWER.items(), *texts, *times]
     return [b"".join(_behind_length(bytes((ANSWER_PLACES.index(place),)) + _npy(v)) for place, v in members)]
 
 

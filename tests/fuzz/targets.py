@@ -22,8 +22,9 @@ from ramp_device import CHANNELS, ramp_device
 
 from daq.base.console.file_kinds import LOG_MAGIC
 from daq.base.contract.errors import ConfigError, LogError
-from daq.exchange import child, formats
+from daq.exchange import child, formats, uff_file
 from daq.exchange.checks import checked
+from daq.exchange.columns import Columns
 from daq.exchange.formats import read
 from daq.log import scan
 from daq.log.reader import read_log
@@ -66,10 +67,11 @@ kind = "acceleration"
 unit = "g"
 """)  # small files are cheap: what is imported has two channels
 GOOD_ANSWER = {
-    "names": np.frombuffer(b'["b1x", "b1y"]', np.uint8), "units": np.frombuffer(b'{"b1x": "g"}', np.uint8),
+    "names": np.frombuffer(b'["b1x", "b1y"]', np.uint8),
+    "about": np.frombuffer(b'{"units": {"b1x": "g"}, "rates": [], "time": "time", "started": null}', np.uint8),
     "column 0": np.arange(6.0), "column 1": np.arange(6.0), "time": np.arange(6) / 25_600,
 }  # fmt: skip
-ANSWER_PLACES = (*GOOD_ANSWER, "rate")
+ANSWER_PLACES = tuple(GOOD_ANSWER)
 ONE = Rig.parse(PAIR.text[: PAIR.text.rindex("[[channel]]")])
 Target = Callable[[bytes, Path], None]
 
@@ -314,7 +316,7 @@ def answer_members(data: bytes, folder: Path) -> None:
     """Members of answers of the process that reads .mat and .mf4: each in a good one, where its first byte says."""
     path = folder / "a.mf4"
     for member in members(data):
-        place = ANSWER_PLACES[member[0] % len(ANSWER_PLACES)] if member else "rate"
+        place = ANSWER_PLACES[member[0] % len(ANSWER_PLACES)] if member else "time"
         columns = _columns(lambda: formats.of_answer(path, GOOD_ANSWER | {place: _array(member[1:])}))  # noqa: B023
         if columns is not None:
             _check(path, columns, PAIR, None)
@@ -332,17 +334,17 @@ def uff_sets(data: bytes, folder: Path) -> None:
     except Exception:  # noqa: BLE001 - import_formats tells it, whatever it is
         return
     for k in np.flatnonzero(kinds == 58).tolist():
-        _alone(path, lambda k=k: formats.of_uff(path, [file.read_sets(k)], ("b1x",)))
+        _alone(path, lambda k=k: uff_file.of_uff(path, [file.read_sets(k)], ("b1x",)))
 
 
-def _columns(read_one: Callable[[], formats.Columns]) -> formats.Columns | None:
+def _columns(read_one: Callable[[], Columns]) -> Columns | None:
     try:
         return read_one()
     except Exception:  # noqa: BLE001 - import_formats.read tells it, whatever it is
         return None
 
 
-def _alone(path: Path, read_one: Callable[[], formats.Columns]) -> None:
+def _alone(path: Path, read_one: Callable[[], Columns]) -> None:
     """The first column of what is read, as the only channel."""
     columns = _columns(read_one)
     if columns is not None:
@@ -351,13 +353,13 @@ def _alone(path: Path, read_one: Callable[[], formats.Columns]) -> None:
         _check(path, replace(columns, values=values, units={}), ONE, rate_hz)
 
 
-def _check(path: Path, columns: formats.Columns, rig: Rig, rate_hz: float | None) -> None:
+def _check(path: Path, columns: Columns, rig: Rig, rate_hz: float | None) -> None:
     with contextlib.suppress(LogError):
         record = checked(path, columns, rig, rate_hz, lambda text: None)
         assert record.si().shape == (record.samples, len(rig.model.channels))
 
 
-def _answered(path: Path, names: Sequence[str]) -> formats.Columns:
+def _answered(path: Path, names: Sequence[str]) -> Columns:
     """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
     data, out = path.read_bytes(), path.with_suffix(".npz")
     status = (

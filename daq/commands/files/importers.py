@@ -2,7 +2,9 @@
 
 Raw counts of a log are int32. Whole numbers go in as they are. Others are scaled by a power of two, channel by
 channel, so that the largest comes to between 2^29 and 2^30: rounding is then 2^-30 of the largest value, some 180 dB
-below it, and floats of 24 bits within a factor of 64 of the largest survive to the last bit.
+below it, and floats of 24 bits within a factor of 64 of the largest survive to the last bit. A large constant in a
+channel is taken off first, and stands in the log as the offset of its signal. A value so large that rounding would
+come near to the others is refused.
 """
 
 from __future__ import annotations
@@ -18,10 +20,10 @@ from numpy.typing import NDArray
 
 from daq.base.console.memory import bounded_memory
 from daq.base.console.output import Output, Progress, quiet_progress
+from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session
-from daq.exchange.checks import Record, checked
-from daq.exchange.formats import read
+from daq.exchange.checks import Record, load
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI_UNIT
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
@@ -29,6 +31,8 @@ from drivers.foreign import CAPTURE_SUFFIXES
 
 BLOCK_ROWS = 8192  # in a block
 COUNT_BITS = 32
+OFFSET_RATIO = 64.0  # of a constant over half the range of what changes, from which on it is taken off
+LEAST_STEPS = 256.0  # in the median of the sizes: rounding is then below -57 dB of it
 
 
 def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: float | None, gaps: bool) -> None:
@@ -45,7 +49,7 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
         found.append(Notice(time.monotonic_ns(), "warning", code, text))
 
     with output.progress(f"reading {path.name}"):
-        record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, say, gaps)
+        record = load(path, rig, rate_hz, say, gaps)
     lost = 0 if record.missing is None else int(record.missing.sum())
     for text in limited(record, rig):
         say(text, "limited")
@@ -59,6 +63,7 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
         "lost_samples": lost,
         "rate_hz": record.rate_hz,
         "seconds": record.samples / record.rate_hz,
+        "started": None if record.started_ns is None else utc_text(record.started_ns),
     }
     text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
     output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
@@ -95,12 +100,16 @@ def write_record(
     from daq.base.contract.dates import Recorded
     from daq.log.writer import LogWriter
 
-    scales = [power_of_two(v) for v in record.values]
-    kinds = [c.kind for c in rig.model.channels]
+    levels = [level(v) for v in record.values]
+    scales = [
+        resolved(out, n, v, z, record.rate_hz) for n, v, z in zip(record.names, record.values, levels, strict=True)
+    ]
+    offsets = [f * z + o for f, z, o in zip(record.factors, levels, record.offsets or [0.0] * len(levels), strict=True)]
+    units = [SI_UNIT[c.kind] for c in rig.model.channels]
     info = Info(
         tuple(
-            Signal(name, SI_UNIT[kind], f * scale)
-            for name, kind, f, scale in zip(record.names, kinds, record.factors, scales, strict=True)
+            Signal(name, unit, f * scale, offset)
+            for name, unit, f, scale, offset in zip(record.names, units, record.factors, scales, offsets, strict=True)
         ),
         record.rate_hz,
         count_bits=COUNT_BITS,
@@ -114,7 +123,7 @@ def write_record(
             )
         )
         writer.readings(found)
-        for index, readings in _blocks(record, scales):
+        for index, readings in _blocks(record, scales, levels):
             writer.readings(readings)
             progress(index / record.samples)
         whole = True
@@ -131,8 +140,8 @@ def versions() -> dict[str, str]:
     return {"command": "import", "rotorscope": version("rotorscope")}
 
 
-def _blocks(record: Record, scales: list[float]) -> Iterator[tuple[int, list[Reading]]]:
-    start_ns = time.monotonic_ns()
+def _blocks(record: Record, scales: list[float], levels: list[float]) -> Iterator[tuple[int, list[Reading]]]:
+    start_ns = time.monotonic_ns() if record.started_ns is None else record.started_ns
     for first, stop, present in _runs(record):
         if not present:
             yield stop, [Gap(first, stop - first, "source")]
@@ -140,8 +149,8 @@ def _blocks(record: Record, scales: list[float]) -> Iterator[tuple[int, list[Rea
         for index in range(first, stop, BLOCK_ROWS):
             end = min(index + BLOCK_ROWS, stop)
             counts = np.empty((end - index, len(scales)), dtype=np.int32)
-            for k, (value, scale) in enumerate(zip(record.values, scales, strict=True)):
-                counts[:, k] = np.rint(np.asarray(value[index:end], dtype=np.float64) / scale)
+            for k, (value, scale, zero) in enumerate(zip(record.values, scales, levels, strict=True)):
+                counts[:, k] = np.rint((np.asarray(value[index:end], dtype=np.float64) - zero) / scale)
             yield end, [Block(index, counts, start_ns + round(1e9 * end / record.rate_hz))]
 
 
@@ -153,6 +162,33 @@ def _runs(record: Record) -> Iterator[tuple[int, int, bool]]:
     edges = [0, *(np.flatnonzero(np.diff(record.missing)) + 1).tolist(), record.samples]
     for first, stop in zip(edges, edges[1:], strict=False):
         yield first, stop, not record.missing[first]
+
+
+def level(values: NDArray[Any]) -> float:
+    """The constant to take off a column: 0 unless it is far larger than what changes."""
+    if not values.size or (values.dtype.kind in "iu" and power_of_two(values) == 1.0):
+        return 0.0
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0
+    low, high = float(finite.min()), float(finite.max())
+    return low / 2 + high / 2 if max(abs(low), abs(high)) > OFFSET_RATIO * (high / 2 - low / 2) > 0 else 0.0
+
+
+def resolved(out: Path, name: str, values: NDArray[Any], zero: float, rate_hz: float) -> float:
+    """The scale of a column. Raises LogError if the largest value leaves the others too few steps."""
+    rest = values - zero if zero else values
+    scale = power_of_two(rest)
+    if scale == 1.0:
+        return scale
+    size = np.abs(rest[np.isfinite(rest)])
+    usual = float(np.median(size[size > 0])) if size.any() else 0.0
+    if usual < LEAST_STEPS * scale:
+        row = int(np.nanargmax(np.abs(rest)))
+        text = f"{name} is {values[row]:g} at row {row} (t = {row / rate_hz:.6g} s), and usually about {usual:.3g}"
+        remedy = "a log resolves 2^-30 of the largest value; if that one is no measured value, cut the record there"
+        raise LogError(f"{out}: {text}: {remedy}")
+    return scale
 
 
 def power_of_two(values: NDArray[Any]) -> float:

@@ -269,13 +269,44 @@ def test_time_must_be_uniform_without_gaps_and_rising(folder: Path, capsys: pyte
     assert "not sampled uniformly" in refused(folder, write_csv(folder / "w.csv", y, warped), capsys)
 
 
-def test_a_unit_in_the_file_must_be_the_rigs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    time = np.arange(4000) / RATE
-    good = write_csv(folder / "a.csv", samples(), time, "b1x [g],b1y (m/s²)")
-    assert load(folder, good) == 0
+def test_a_unit_in_the_file_is_converted_and_that_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, y = np.arange(4000) / RATE, samples()
+    assert load(folder, write_csv(folder / "a.csv", y, time, "b1x [g],b1y (m/s²)")) == 0
+    assert "converted" not in capsys.readouterr().err
+    assert load(folder, write_csv(folder / "a.csv", y, time, "b1x [m/s^2],b1y [mg]")) == 0
+    assert 'b1x is in "m/s^2" there, and in "g" in the rig file: converted' in capsys.readouterr().err
+    np.testing.assert_allclose(read_log(folder / "log.mcap").samples(), y * [1.0, 9.80665e-3], atol=1e-6)
     (folder / "log.mcap").unlink()
-    bad = write_csv(folder / "a.csv", samples(), time, "b1x [m/s^2],b1y")
-    assert 'b1x is in "m/s^2" there, and in "g" in the rig file' in refused(folder, bad, capsys)
+    said = refused(folder, write_csv(folder / "a.csv", y, time, "b1x [V],b1y"), capsys)
+    assert 'b1x is in "V" there; say what its sensor gives, in the rig file: sensitivity = ' in said
+
+
+def test_volts_and_names_of_others_by_the_rig_file(folder: Path) -> None:
+    more = 'unit = "m/s^2"\nsensitivity = { value = 10.0, unit = "mV/(m/s^2)" }\nalias = "Ch 2, top"\noffset = 3.0'
+    (folder / "rig.toml").write_text(RIG.replace('unit = "m/s^2"', more))
+    y = samples()
+    write_csv(folder / "a.csv", y, np.arange(4000) / RATE, 'b1x,"Ch 2, top [mV]"')
+    assert load(folder, folder / "a.csv") == 0
+    np.testing.assert_allclose(read_log(folder / "log.mcap").samples()[:, 1], y[:, 1] / 10 - 3.0, atol=1e-6)
+
+
+def test_a_value_that_stands_for_none_is_refused_and_a_huge_one_too(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    y = samples()
+    y[200, 0] = 9.9e37
+    said = refused(folder, write_npz(folder / "a.npz", y), capsys)
+    assert 'b1x is 9.9e+37, which stands for "no value", at row 200' in said
+    y[200, 0] = 1e12
+    said = refused(folder, write_npz(folder / "a.npz", y), capsys)
+    assert "b1x is 1e+12 at row 200" in said
+    assert "a log resolves 2^-30 of the largest value" in said
+
+
+def test_a_large_constant_costs_no_resolution(folder: Path) -> None:
+    y = samples() * 1e-6 + 1e6
+    assert load(folder, write_npz(folder / "a.npz", y)) == 0
+    np.testing.assert_allclose(read_log(folder / "log.mcap").samples(), y * FACTORS, rtol=0, atol=1e-8)
 
 
 def test_gaps_only_when_asked_for_and_named_on_the_way_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

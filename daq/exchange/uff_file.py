@@ -1,0 +1,84 @@
+"""Universal files: time responses of dataset 58 in the units that dataset 164 or their own heads say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.base.contract.errors import LogError
+
+from .columns import Column, Columns, date_ns
+
+VALUES_OF_LINE = 6  # at most, in a dataset 58 as text: a last line may be filled up
+# Dataset 164 says by what to divide to get metres and newtons
+UNIT_OF_LENGTH = {1.0: "m", 1e3: "mm", 1e2: "cm", 1e6: "um", 1 / 0.0254: "in", 1 / 0.3048: "ft"}
+UNIT_OF_FORCE = {1.0: "N", 1e3: "mN", 1e-3: "kN", 1 / 4.4482216152605: "lbf", 1 / 9.80665: "kgf"}
+
+
+def read_uff(path: Path, names: Sequence[str]) -> Columns:
+    import pyuff
+
+    file = pyuff.UFF(str(path))
+    kinds = [int(kind) for kind in file.get_set_types()]
+    units = [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 164]
+    return of_uff(path, (file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58), names, units)
+
+
+def of_uff(
+    path: Path, sets: Iterable[Mapping[str, Any]], names: Sequence[str], systems: Sequence[Mapping[str, Any]] = ()
+) -> Columns:
+    """Data sets 58 and 164 as pyuff has them."""
+    records = [s for s in sets if s.get("func_type") == 1]  # time response
+    if not records:
+        raise LogError(f"{path}: holds no time response (dataset 58, function type 1); export the time histories")
+    values: dict[str, Column] = {}
+    units: dict[str, str] = {}
+    for s in records:
+        labels = [str(s.get(k, "")).strip() for k in ("id1", "id2", "id4", "id5", "rsp_ent_name")]
+        name = next((label for label in labels if label in names), labels[0] or f"record {len(values) + 1}")
+        if name in values:
+            raise LogError(f'{path}: two time responses are called "{name}"; name each after its channel')
+        values[name] = _samples(path, name, s)
+        if unit := str(s.get("ordinate_axis_units_lab", "")).strip().strip("-").removeprefix("NONE"):
+            units[name] = unit
+    started_ns = next((ns for s in records if (ns := date_ns(str(s.get("id3", ""))))), None)
+    of_kind = _system(path, systems)
+    steps = {float(s.get("abscissa_inc", 0.0)) for s in records}
+    if len(steps) > 1 or 0.0 in steps:
+        time = np.asarray(records[0]["x"])
+        return Columns(values, None, time, units, started_ns=started_ns, units_of_kind=of_kind)
+    return Columns(values, 1.0 / steps.pop(), None, units, started_ns=started_ns, units_of_kind=of_kind)
+
+
+def _samples(path: Path, name: str, record: Mapping[str, Any]) -> Column:
+    """The values of a dataset, without the zeros that fill up its last line."""
+    column: Column = np.real(record["data"])
+    points = int(record["num_pts"])
+    filled = points < len(column) < points + VALUES_OF_LINE and not np.asarray(record["data"])[points:].any()
+    if len(column) != points and not filled:
+        text = f"{name} has {len(column)} values, its header says {points}"
+        raise LogError(f"{path}: {text}; the file is cut or damaged: export it again")
+    if np.imag(record["data"]).any():
+        raise LogError(f"{path}: {name} is complex; a time response is real: export the time histories")
+    return column[:points]
+
+
+def _system(path: Path, systems: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Units of the kinds of channel, from the last dataset 164; none if there is none."""
+    if not systems:
+        return {}
+    last = systems[-1]
+    length, force = (_unit(units, float(last.get(key, 1.0) or 1.0)) for units, key in (
+        (UNIT_OF_LENGTH, "length"), (UNIT_OF_FORCE, "force")))  # fmt: skip
+    if length is None or force is None:
+        text = f"dataset 164 has units of its own (factors {last.get('length')} and {last.get('force')})"
+        raise LogError(f"{path}: {text}; export it in SI units, or name the unit of each channel")
+    return {"acceleration": f"{length}/s^2", "velocity": f"{length}/s", "displacement": length, "force": force}
+
+
+def _unit(units: Mapping[float, str], said: float) -> str | None:
+    return next((unit for value, unit in units.items() if math.isclose(said, value, rel_tol=1e-3)), None)

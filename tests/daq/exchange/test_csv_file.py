@@ -1,0 +1,141 @@
+"""Tables as recorders and spreadsheets write them: the right numbers, or the reason and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.base.contract.dates import unix_ns
+from daq.base.contract.errors import LogError
+from daq.exchange.checks import Record, load
+from daq.rig.rig import Rig
+
+CHANNEL = """[[channel]]
+name = "{0}"
+node = "bearing1"
+direction = "{0}"
+unit = "m/s^2"
+"""
+HEAD = "schema = 1\n[band]\nlow = 1.0\nhigh = 40.0\n"
+RIG = Rig.parse(HEAD + CHANNEL.format("x") + CHANNEL.format("y"))
+AT_100_HZ = Rig.parse(HEAD + "[acquisition]\nrate_hz = 100.0\n" + CHANNEL.format("x") + CHANNEL.format("y"))
+K = np.arange(60)
+X, Y = 1000 + K / 8, -K / 4
+
+
+def table(form: str, separator: str = ",", head: str = "time,x,y", time: float = 1.0) -> str:
+    rows = [separator.join((form % (k / 100 * time), form % x, form % y)) for k, x, y in zip(K, X, Y, strict=True)]
+    return "\n".join([head.replace(",", separator), *rows]) + "\n"
+
+
+def read(
+    folder: Path, text: str | bytes, rig: Rig = AT_100_HZ, rate_hz: float | None = None, name: str = "a.csv"
+) -> Record:
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    said: list[str] = []
+    return load(folder / name, rig, rate_hz, said.append)
+
+
+def german(text: str) -> str:
+    return text.replace(".", ",")
+
+
+def rows(time: Callable[[int], str], head: str = "time;x;y") -> str:
+    return "\n".join([head, *(f"{time(k)};{x};{y}" for k, x, y in zip(K.tolist(), X, Y, strict=True))])
+
+
+def time_of_day(k: int) -> str:
+    """A hundred rows a second, from a tenth of a second before midnight on."""
+    seconds = (86400 - 0.1 + k / 100) % 86400
+    return f"{int(seconds / 3600):02d}:{int(seconds / 60 % 60):02d}:{seconds % 60:05.2f}".replace("60.00", "00.00")
+
+
+STAMPED = rows(lambda k: f"2024-05-31T13:05:{k / 100:09.6f}+02:00", "Time;x;y")
+GOOD = {
+    "plain": table("%.6f"),
+    "german": german(table("%.6f", ";", "time;x;y".replace(";", ","))),
+    "german, three decimals": german(table("%.3f", ";")),
+    "tabs": table("%.6f", "\t"),
+    "utf-16": table("%.6f").encode("utf-16"),
+    "mark": table("%.6f").encode("utf-8-sig"),
+    "excel": german(table("%.4f", ";", "Zeit [s],x [m/s²],y [m/s²]")).encode("cp1252"),
+    "sep=": "sep=;\n" + table("%.6f", ";"),
+    "preamble": "Recorder;7\nSampling rate;100 Hz\n\n" + table("%.6f", ";"),
+    "units": table("%.6f", ",", "time,x,y\ns,m/s^2,(m/s^2)"),
+    "ms": table("%.6f", ",", "Time [ms],x,y", 1e3),
+    "us": table("%.3f", ",", "time_us,x,y", 1e6),
+    "us in a row": table("%.3f", ",", "Time,x,y\nµs,m/s²,m/s²", 1e6),
+    "minutes": table("%.9f", ",", "t/min,x,y", 1 / 60),
+    "ends with separators": "\n".join(line + ";" for line in table("%.6f", ";").splitlines()),
+    "remarks": "# by me\n" + table("%.6f") + "# started 2024-05-31T11:05:00.000000Z\n",
+    "quoted": "\n".join(
+        ["time,x,y", *(f'"{k / 100}","{x:,.3f}","{y}"' for k, x, y in zip(K, X, Y, strict=True))]
+    ),  # "1,000.125"
+    "german thousands": "\n".join(
+        [
+            "time;x;y",
+            *(
+                german(f"{k / 100};1.{x - 1000:07.3f};{y}").replace(";1,", ";1.", 1)
+                for k, x, y in zip(K, X, Y, strict=True)
+            ),
+        ]
+    ),  # fmt: skip
+    "stamps": STAMPED,
+    "times of day past midnight": rows(time_of_day),
+}
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_a_table_is_read_as_it_is_meant(tmp_path: Path, kind: str) -> None:
+    record = read(tmp_path, GOOD[kind])
+    assert record.rate_hz == pytest.approx(100.0, rel=1e-6)
+    np.testing.assert_allclose(record.si(), np.column_stack([X, Y]), atol=6e-3 if "decimals" in kind else 1e-9)
+
+
+def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
+    started = unix_ns("2024-05-31T11:05:00Z")
+    assert read(tmp_path, GOOD["stamps"]).started_ns == started
+    assert read(tmp_path, GOOD["remarks"]).started_ns == started
+    assert read(tmp_path, "Start time: 2024-05-31 11:05:00Z\n" + table("%.6f")).started_ns == started
+    epoch = rows(lambda k: f"{1717153500000 + 10 * k}", "timestamp;x;y")
+    record = read(tmp_path, epoch, RIG)
+    assert record.rate_hz == 100.0
+    assert record.started_ns == started
+    assert read(tmp_path, table("%.6f")).started_ns is None
+
+
+@pytest.mark.parametrize(
+    ("text", "rig", "said"),
+    [
+        (table("%.6f", ",", "time [ticks],x,y"), RIG, 'the time is in "ticks", which is no unit of time; write one'),
+        (table("%.6f", ",", "time,x,y", 1e3), AT_100_HZ, r'in s it gives 0.1 Hz, in ms the .*100 Hz.*"time \[ms\]"'),
+        (table("%.6f", ",", "time,x,y", 1 / 60), AT_100_HZ, r"in s it gives 6000\S* Hz, in min"),
+        (table("%.6f", ",", "time,x,y", 1e6), RIG, "lower band.high, or check the rate, or whether its time is in s"),
+        (german(table("%.6f")), RIG, ":2: 6 cells where the header has 3: these may be decimal commas"),
+        ("time;x;y\n" + 60 * "1,000;2,000;3,000\n", RIG, '"1,000" may be 1.000 or 1000; write its numbers with'),
+        (table("%.6f").replace("\n0.100000,", "\nnow,"), RIG, ":12: time: \"now\" is not a number"),
+        (table("%.6f").replace("time", "x"), RIG, 'the header names "x" twice'),
+    ],
+)  # fmt: skip
+def test_what_is_doubtful_is_refused_with_its_reason(tmp_path: Path, text: str, rig: Rig, said: str) -> None:
+    with pytest.raises(LogError, match=said):
+        read(tmp_path, text, rig)
+
+
+def test_a_hole_in_time_becomes_a_gap_if_that_is_allowed(tmp_path: Path) -> None:
+    lines = table("%.6f").splitlines()
+    (tmp_path / "a.csv").write_text("\n".join(lines[:21] + lines[26:]) + "\n")
+    with pytest.raises(LogError, match="about 5 samples are missing before row 20"):
+        load(tmp_path / "a.csv", RIG, None, print)
+    record = load(tmp_path / "a.csv", RIG, None, print, gaps=True)
+    assert record.missing is not None
+    np.testing.assert_array_equal(np.flatnonzero(record.missing), np.arange(20, 25))
+    np.testing.assert_allclose(record.si()[25:], np.column_stack([X, Y])[25:])
+
+
+def test_a_spreadsheet_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"save the sheet as \.csv"):
+        read(tmp_path, "PK", name="a.xlsx")

@@ -1,0 +1,251 @@
+"""Files of others, format by format: names, units, rate, time and date as they say them; or why they cannot be used."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+from asammdf import MDF, Signal
+from scipy.io import wavfile
+
+from daq.base.contract.dates import unix_ns
+from daq.base.contract.errors import LogError
+from daq.exchange import child
+from daq.exchange.checks import Record, checked, load
+from daq.exchange.formats import by_channel, of_answer
+from daq.rig.rig import Rig
+
+RATE = 1000.0
+TEXT = """schema = 1
+[band]
+low = 10.0
+high = 400.0
+[acquisition]
+rate_hz = 1000.0
+FULL
+[[channel]]
+name = "x"
+node = "bearing1"
+direction = "x"
+unit = "m/s^2"
+X
+[[channel]]
+name = "y"
+node = "bearing1"
+direction = "y"
+unit = "m/s^2"
+"""
+Y = np.random.default_rng(0).standard_normal((400, 2))
+TIME = np.arange(400) / RATE
+X_ONLY = {"x": Y[:, 0], "y": Y[:, 1]}
+STARTED = "2024-05-31T11:05:00Z"
+
+
+def rig(x: str = "", full: str = "") -> Rig:
+    return Rig.parse(TEXT.replace("\nX", f"\n{x}").replace("FULL", full))
+
+
+def read(path: Path, of: Rig | None = None, said: list[str] | None = None) -> Record:
+    """As `load`, but in this process, which is quicker."""
+    of, note = of or rig(), ([] if said is None else said).append
+    reader = child.READER_OF_SUFFIX.get(path.suffix)
+    if reader is None:
+        return load(path, of, None, note)
+    aliases = {c.name: c.alias for c in of.file.channel if c.alias}
+    try:
+        found = reader(path, ["x", "y", *aliases.values()])
+    except child.Told as error:
+        raise LogError(f"{path}: {error}") from error
+    columns = by_channel(of_answer(path, child.answer(found)), aliases)
+    return checked(path, columns, of, None, note)
+
+
+def refused(path: Path, said: str, of: Rig | None = None) -> None:
+    with pytest.raises(LogError, match=said):
+        read(path, of)
+
+
+def assert_read(record: Record, y: np.ndarray = Y, atol: float = 1e-9) -> None:
+    assert record.rate_hz == pytest.approx(RATE, rel=1e-6)
+    np.testing.assert_allclose(record.si(), y, atol=atol)
+
+
+def mat(folder: Path, **values: Any) -> Path:
+    scipy.io.savemat(folder / "a.mat", values)
+    return folder / "a.mat"
+
+
+@pytest.mark.parametrize("name", ["rate_hz", "fs", "Fs", "FS", "SampleRate", "sampling_rate", "Sample_Frequency"])
+def test_a_rate_by_its_usual_names(tmp_path: Path, name: str) -> None:
+    assert_read(read(mat(tmp_path, **X_ONLY, **{name: RATE})))
+    np.savez(tmp_path / "a.npz", **X_ONLY, **{name: RATE})
+    assert_read(read(tmp_path / "a.npz"))
+
+
+def test_a_struct_by_the_names_of_its_fields(tmp_path: Path) -> None:
+    assert_read(read(mat(tmp_path, data={"x": Y[:, 0], "y": Y[:, 1], "Fs": RATE}), rig()))
+    assert_read(read(mat(tmp_path, d={"a": {"x": Y[:, 0], "y": Y[:, 1]}, "dt": 1 / RATE})))
+    two = mat(tmp_path, a=X_ONLY, b={"x": 2 * Y[:, 0]}, fs=RATE)
+    refused(two, r'x is there 2 times, as a.x, b.x; say which one by alias = "a.x"')
+    assert_read(read(two, rig('alias = "b.x"')), Y * [2, 1])
+    assert_read(read(mat(tmp_path, m=Y[:, ::-1], y=Y[:, 1], fs=RATE), rig('alias = "m(:,2)"')))
+
+
+def test_a_time_vector_beside_a_rate_has_to_agree_with_it(tmp_path: Path) -> None:
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, time=TIME)))
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, t_ms=1e3 * TIME)))
+    refused(mat(tmp_path, **X_ONLY, fs=2000.0, time=TIME), "says a rate of 2000 Hz, but its time gives 1000 Hz")
+    hole = np.where(TIME > 0.2, TIME + 0.05, TIME)
+    refused(mat(tmp_path, **X_ONLY, fs=RATE, time=hole), "about 50 samples are missing before row 201")
+    refused(mat(tmp_path, **X_ONLY, fs=RATE, Fs=500.0), "fs says 1000 Hz, Fs 500 Hz; remove the one")
+    refused(mat(tmp_path, **X_ONLY, time=1e3 * TIME), r'in ms the .*1000 Hz.*"time \[ms\]"')
+    np.savez(tmp_path / "a.npz", **X_ONLY, rate_hz=RATE, time=hole)
+    refused(tmp_path / "a.npz", "50 samples are missing")
+
+
+def mf4(folder: Path, signals: list[list[Signal]], start: datetime | None = None) -> Path:
+    with MDF(version="4.10") as file:
+        for group in signals:
+            file.append(group)
+        file.header.start_time = start or datetime(1970, 1, 1, tzinfo=UTC)
+        file.save(folder / "a.mf4", overwrite=True)
+    return folder / "a.mf4"
+
+
+def both(scale: float = 1.0, unit: str = "m/s^2") -> list[Signal]:
+    return [Signal(scale * Y[:, k], TIME + 1.5, name=n, unit=unit) for k, n in enumerate("xy")]
+
+
+def test_mf4_in_two_groups_is_asked_for_and_read_by_its_alias(tmp_path: Path) -> None:
+    path = mf4(tmp_path, [both(), both(2.0)])
+    refused(path, r'x is in 2 groups of the file, 0.*, 1.*, with other data in each; .* alias = "0/x"')
+    assert_read(read(mf4(tmp_path, [both(), both()])))  # twice the same
+    lone = mf4(tmp_path, [both(), [both(2.0)[0]]])
+    assert_read(read(lone, rig('alias = "1/x"')), Y * [2, 1])
+
+
+def test_mf4_units_and_date(tmp_path: Path) -> None:
+    said: list[str] = []
+    record = read(mf4(tmp_path, [both(1e3, "mm/s²")], datetime(2024, 5, 31, 11, 4, 58, 500_000, UTC)), said=said)
+    assert_read(record)
+    assert said[0] == 'x is in "mm/s²" there, and in "m/s^2" in the rig file: converted'
+    assert record.started_ns == unix_ns(STARTED)
+    assert read(mf4(tmp_path, [both()])).started_ns is None
+
+
+def test_mf4_over_an_angle_is_refused(tmp_path: Path) -> None:
+    angle = [Signal(Y[:, 0], TIME, name="x", master_metadata=("Angle", 2)), Signal(Y[:, 1], TIME, name="y")]
+    refused(mf4(tmp_path, [angle]), r'x was recorded over an angle \(master channel "Angle"\), not over time')
+
+
+UFF_HEAD = """    -1
+    58
+{name}
+NONE
+31-May-24 11:05:00
+NONE
+NONE
+    1         1    0         0 {name}                  1   1 NONE               0   0
+         2{n:10d}         1  0.00000e+00  1.00000e-03  0.00000e+00
+        17    0    0    0 Time                 s
+        12    0    0    0 Acc                  {unit}
+         0    0    0    0 NONE                 NONE
+         0    0    0    0 NONE                 NONE
+"""
+
+
+def uff(folder: Path, n: int, length: float | None, unit: str = "NONE", fill: str = " 0.00000e+00") -> Path:
+    parts = []
+    if length is not None:
+        factors = f"  {length:.17E}  1.00000000000000000E+00  1.00000000000000000E+00".replace("E", "D")
+        parts.append(f"    -1\n   164\n         9own                           2\n{factors}\n  0.0D+00\n    -1\n")
+    for k, name in enumerate("xy"):
+        cells = [f"{v:13.5e}" for v in Y[:n, k]] + [fill.rjust(13)] * (-n % 6)
+        lines = ["".join(cells[i : i + 6]) for i in range(0, len(cells), 6)]
+        parts.append(UFF_HEAD.format(name=name, n=n, unit=unit) + "\n".join(lines) + "\n    -1\n")
+    (folder / "a.uff").write_text("".join(parts))
+    return folder / "a.uff"
+
+
+def test_uff_filled_lines_units_and_date(tmp_path: Path) -> None:
+    record = read(uff(tmp_path, 397, None))
+    assert_read(record, Y[:397], atol=1e-4)
+    assert record.started_ns is not None
+    refused(uff(tmp_path, 397, None, fill=" 1.00000e+00"), "402 values, its header says 397")
+    assert_read(read(uff(tmp_path, 396, 1e3)), Y[:396] * 1e-3, atol=1e-6)
+    assert_read(read(uff(tmp_path, 396, 1 / 0.0254)), Y[:396] * 0.0254, atol=1e-5)
+    assert_read(read(uff(tmp_path, 396, 1e3, "g")), Y[:396] * 9.80665, atol=1e-3)  # its own word counts
+    refused(uff(tmp_path, 396, 17.0), "dataset 164 has units of its own")
+
+
+def test_sound_of_floats(tmp_path: Path) -> None:
+    wavfile.write(tmp_path / "a.wav", 1000, (Y / 10).astype(np.float32))
+    said: list[str] = []
+    assert_read(read(tmp_path / "a.wav", rig(full="full_scale = 50.0"), said), 5 * Y, atol=1e-4)
+    assert "floats within +-1: 1 is taken as full scale, 50 m/s^2" in said[0]
+    assert_read(read(tmp_path / "a.wav", said=said), Y / 10, atol=1e-6)
+    assert "if 1 is full scale, say acquisition.full_scale" in said[-1]
+    wavfile.write(tmp_path / "a.wav", 1000, Y.astype(np.float32))
+    assert_read(read(tmp_path / "a.wav", rig(full="full_scale = 50.0")), atol=1e-6)
+
+
+def test_the_date_of_a_broadcast_wave_file(tmp_path: Path) -> None:
+    wavfile.write(tmp_path / "a.wav", 1000, Y.astype(np.float32))
+    whole = (tmp_path / "a.wav").read_bytes()
+    head = bytes(320) + b"2024-05-31" + b"11:05:00" + bytes(264)
+    (tmp_path / "a.wav").write_bytes(whole[:12] + b"bext" + len(head).to_bytes(4, "little") + head + whole[12:])
+    begun = datetime(2024, 5, 31, 11, 5).astimezone()  # without a zone: of this computer's
+    assert read(tmp_path / "a.wav").started_ns == round(begun.timestamp()) * 10**9
+
+
+def test_hdf5_and_matlab_7_3(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("run")
+        for k, name in enumerate("xy"):
+            group.create_dataset(name, data=Y[:, k]).attrs["unit"] = "g"
+        group.attrs["sample_rate"] = RATE
+        file.attrs["started"] = STARTED
+    record = read(tmp_path / "a.h5")
+    assert_read(record, Y * 9.80665)
+    assert record.started_ns == unix_ns(STARTED)
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, values in (("data/x", Y[:, :1].T), ("data/y", Y[:, 1:].T), ("data/Fs", [[RATE]])):
+            file.create_dataset(name, data=values)
+    head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    (tmp_path / "a.mat").write_bytes(head + (tmp_path / "a.mat").read_bytes()[len(head) :])
+    assert_read(read(tmp_path / "a.mat"))
+
+
+def test_tdms(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    about = {"wf_increment": 1 / RATE, "unit_string": "g", "wf_start_time": np.datetime64("2024-05-31T11:05:00")}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("run", n, Y[:, k], about) for k, n in enumerate("xy")])
+    record = read(tmp_path / "a.tdms")
+    assert_read(record, Y * 9.80665)
+    assert record.started_ns == unix_ns(STARTED)
+
+
+def test_parquet(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    stamps = np.datetime64("2024-05-31T11:05:00", "us") + np.arange(400) * np.timedelta64(1000, "us")
+    parquet.write_table(pyarrow.table({"timestamp": stamps, "x": Y[:, 0], "y": Y[:, 1]}), tmp_path / "a.parquet")
+    record = read(tmp_path / "a.parquet")
+    assert_read(record)
+    assert record.started_ns == unix_ns(STARTED)
+
+
+@pytest.mark.parametrize("ending", ["h5", "tdms", "parquet"])
+def test_a_reader_that_is_not_installed_is_named(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("h5py", "nptdms", "pyarrow"):
+        (tmp_path / f"{name}.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).parents[3]}")
+    (tmp_path / f"a.{ending}").write_bytes(b"anything")
+    with pytest.raises(LogError, match=r"needs \w+: pip install rotorscope\[files\]; or export it to .csv"):
+        load(tmp_path / f"a.{ending}", rig(), None, print)
