@@ -114,6 +114,7 @@ class RollingEstimator:
         self._fitted: RollingFit | None = None
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
+        self._unshown = ""  # why a block since the last estimate was of no use: a law that is not finite
         self._fault = ""  # why the last block is of no use: a place that does not move, a law that is not finite
         gains = _sensor_gains(self.model)[self._used]
         self._gain = None if (gains == 1.0).all() else gains
@@ -188,7 +189,7 @@ class RollingEstimator:
                 try:
                     fitted.take(record, at, self._shaft.measured)
                 except NotFiniteError as error:
-                    self._fault = str(error)
+                    self._fault = self._unshown = str(error)
                     fitted.skip()
             else:
                 fitted.skip()
@@ -261,8 +262,9 @@ class RollingEstimator:
             return
         self._since_solved = 0
         hop_s = self._grid.hop / self.rate_hz
-        if self._fault:
-            self._show_nothing(self._fault)
+        fault, self._unshown = self._fault or self._unshown, ""
+        if fault:
+            self._show_nothing(fault)
             return
         if fitted.slow.n < MIN_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
             self._show_nothing("too few valid samples of late")

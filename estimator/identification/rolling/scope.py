@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, kinematic, written
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
@@ -23,6 +24,7 @@ FIT_HINT = "rotorscope fit has its numbers"
 CLIPPED_REASON = "its sensor is clipped: what that took away is missing from the motion"
 BREATHING_SHAFT_REASON = f"beside a shaft that breathes: {FIT_HINT}"
 MIN_CRACK_STIFFNESS_REL = 1e-3  # of the stiffness at a place: a weaker crack does not bias it
+EVEN_LAW_REASON = f"a few per cent off, as an accelerometer does not show slow displacement: {FIT_HINT}"
 WRITE_HINT = "rotorscope fit --out writes what it finds"
 
 
@@ -33,15 +35,22 @@ class RollingScope:
     model : the model with the effects that are estimated or held at given numbers, and no other.
     not_estimated : parameters that are given, or left to a fit, by full name.
     lacking : place -> why no number of that place can be given.
+    approximate : places of laws with an even part: an accelerometer does not show the slow displacement that they make.
     """
 
     model: Model
     not_estimated: Mapping[str, Parameter]
     lacking: Mapping[str, str]
+    approximate: frozenset[str] = frozenset()
+
+    def _is_approximate(self, name: str, p: Parameter) -> bool:
+        """Whether a parameter is estimated without the displacement below the band that a law at its place makes."""
+        return p.identifiable and p.sd != 0.0 and any(name.startswith(f"{place}.") for place in self.approximate)
 
     def shown(self, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
         """All parameters by full name: those found, without the places that lack something, and those not estimated."""
-        out = dict(found)
+        out = {name: replace(p, reason=EVEN_LAW_REASON) if self._is_approximate(name, p) else p
+               for name, p in found.items()}  # fmt: skip
         for name, p in found.items():
             node, direction = name.split(".")[:2]
             own = f"{node}.{direction}" if direction in DIRECTIONS else node  # of both directions of a node
@@ -87,7 +96,13 @@ def rolling_scope(model: Model) -> RollingScope:
                     not_estimated[names[q.name]] = Parameter(s.value, 0.0, q.unit, reason="given")
         if new:
             kept.append(replace(use, parameters=new))
-    return RollingScope(replace(model, effects=tuple(kept)), not_estimated, lacking)
+    even = [u for u in kept if has_even_part(e := effect_of(u), usual_parameters(e), usual_sizes(e))]
+    return RollingScope(
+        replace(model, effects=tuple(kept)),
+        not_estimated,
+        lacking,
+        frozenset(key for u in even for key in u.parameters),
+    )
 
 
 def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
+from estimator.errors import NotFiniteError
 from estimator.identification.batch.linear_start import LinearStart, restarted_about
 from estimator.identification.batch.maximum import Maximum, initial, inverse, maximum, without_noise
 from estimator.identification.batch.report import BLOCK_ENERGY_CORRELATION
@@ -27,7 +29,6 @@ from estimator.results import Parameter
 from estimator.signals.blocks import valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
-from .below_band import SlowMotion
 from .level import ExcitationLevel, LevelHistory
 from .memory import Memory, TangentNoiseSums
 from .memory_laws import HiddenStates, linear_of
@@ -40,7 +41,7 @@ SOLUTIONS_PER_CHECK = 2  # check for a change
 BLOCKS_PER_WATCH = 3  # of the memory with the candidates: two at least, so that no two blocks share rows
 SOLUTIONS_PER_LOOK = 8  # look for missing force
 MIN_WATCHED_BLOCKS = 6  # of the memory with the candidates
-MAX_CENTRE_FITS = 4  # of the first seconds, each about the mean displacement of the one before
+MAX_FIRST_FITS = 4  # of the first seconds, each about the linear values of the one before
 MAX_NEWTON_NATS = 10.0  # about one standard deviation of each parameter: one Newton step leaves a few per cent of it
 
 
@@ -76,7 +77,6 @@ class RollingFit:
         )
         self.calm = record.calm
         self.rate_hz, self.band = record.rate_hz, record.model.band
-        self.centre = SlowMotion(self.columns, record)
         self.lines = MovingLines(grid.f_hz, record.model.tacho is not None)
         self.self_energies: NDArray[np.complex128] | None = None
         self.local: Local
@@ -102,7 +102,7 @@ class RollingFit:
             build_balance(model, start.sizes, search=False).free
         )
         point: Point | None = None
-        for _ in range(MAX_CENTRE_FITS):
+        for _ in range(MAX_FIRST_FITS):
             if searched:
                 best = maximum(record, start, model)  # the nonlinear parameters of the first seconds
                 values, held = best.values, _held_parameters(best)
@@ -111,7 +111,7 @@ class RollingFit:
             B = own.coefficients(point.beta)
             linear[:] = linear_of(own, B)
             columns = record.columns(own, start.widths, linear)
-            centre, states = SlowMotion(columns, record), HiddenStates(columns, start.nodes.f_hz)
+            states = HiddenStates(columns, start.nodes.f_hz)
             states.follow(B, record)
             bank = gather(record, own, start.widths, linear)
             bank.tangents[states.columns] = 0.0
@@ -129,10 +129,9 @@ class RollingFit:
             )
             local, _ = maximise(Likelihood(first), point)
             point = local.point
-            if not centre.reach and not states.columns.size and colour is None:
+            if not states.columns.size and colour is None:
                 break
             start = restarted_about(start, record, first, point)
-            record = centre.whole(record, own.coefficients(point.beta))
         wide = build_balance(with_candidates(model, watch), start.sizes, values, search=False)
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
@@ -150,7 +149,6 @@ class RollingFit:
         """Renew the second-order correction of the laws from a record of the last seconds."""
         B = self.balance.coefficients(self.local.point.beta)
         self.states.follow(B, record)
-        record = self.centre.whole(record, B)
         mean = self.fast.tangents / self.fast.rows
         self.self_energies = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
         level_ratio = self.level_history.renew()
@@ -165,7 +163,8 @@ class RollingFit:
         if self.level_history.has_changed():
             last = record()
             if valid_blocks(last.motion.valid, self.grid).size >= len(self.level_history) // 2:
-                self._renew_corrections(last)
+                with suppress(NotFiniteError):  # as it was, while a law is not finite in the last seconds
+                    self._renew_corrections(last)
         for memory in (self.slow, self.fast, self.watched):
             memory.take_self_energies(self.self_energies)
 
@@ -183,7 +182,7 @@ class RollingFit:
     @property
     def margin(self) -> int:
         """Rows of a record that a block needs on either side of its own."""
-        return MARGIN_ROWS + self.centre.reach + (0 if self.calm is None else self.calm.reach)
+        return MARGIN_ROWS + (0 if self.calm is None else self.calm.reach)
 
     def take(self, record: Record, at: int, measured: bool) -> None:
         """Add the block that begins at row `at`, without its moving lines. measured : whether a tacho gives the angle.
@@ -192,7 +191,7 @@ class RollingFit:
         """
         watches = len(self.wide.laws) > len(self.balance.laws) and self.blocks_taken % BLOCKS_PER_WATCH == 0
         B = self.balance.coefficients(self.local.point.beta)
-        stretch = self.centre.stretch(record, at, at + self.grid.size, B)
+        stretch = record.stretch(at, at + self.grid.size)
         Z, tangents = self.spectra.take(stretch, watches)
         own = self.own if watches else np.arange(self.own.size)
         tangents[own[self.states.columns]] = 0.0

@@ -47,6 +47,8 @@ def self_energies(
         ]
         if laws:
             C, dt = _covariances(record, columns, laws, mean[row], seconds)
+            if not np.isfinite(C).all():
+                raise columns.not_finite(laws[0])
             out[:, np.array(laws)[:, None], laws] = pair_energies(C, dt, B[row, laws], mean[row], f_hz)
     return out
 

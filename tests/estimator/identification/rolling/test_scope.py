@@ -15,7 +15,7 @@ from estimator.effects.places import places
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.scope import rolling_scope
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import Estimate
+from estimator.results import Estimate, Parameter
 
 SECONDS = 10.0
 
@@ -130,3 +130,14 @@ def test_a_number_of_the_first_seconds_is_shown_as_such(rig: Model) -> None:
     fixed = EffectUse("clearance", {q: {"gap": Setting(1.9e-7, fixed=True)} for q in rig.places})
     p = rolled(replace(rig, effects=(*rig.effects, fixed)), y).parameters["bearing1.x.clearance.gap"]
     assert (p.value, p.sd, p.reason) == (1.9e-7, 0.0, "given")
+
+
+def test_a_lopsided_law_is_said_to_be_approximate() -> None:
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    uses = (EffectUse("quadratic", {"bearing1.x": {}}), EffectUse("cubic", {"bearing1.y": {}}))
+    scope = rolling_scope(replace(rig, effects=uses))
+    found = {f"bearing1.{name}": Parameter(2.0, 0.1, "N") for name in ("x.quadratic.kq", "x.kL", "y.cubic.kNL")}
+    reasons = {name: p.reason for name, p in scope.shown(found).items()}
+    assert "rotorscope fit has its numbers" in reasons["bearing1.x.quadratic.kq"]
+    assert reasons["bearing1.x.kL"] == reasons["bearing1.x.quadratic.kq"]
+    assert reasons["bearing1.y.cubic.kNL"] == ""
