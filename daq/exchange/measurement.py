@@ -52,3 +52,17 @@ def _measured(path: Path, y: NDArray[np.float64], rate_hz: float, started: datet
     if started is not None:
         facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
     return Measurement(y, rate_hz, facts, started)
+
+
+def findings(y: NDArray[np.float64], rate_hz: float, rig: Rig, most_values: int) -> list[tuple[str, str]]:
+    """Code and text of what makes a record of the rig's channels unfit to be judged: copies, still or clipped channels.
+
+    most_values : samples of all channels; of a longer record only the beginning is looked at, and that is said.
+    """
+    from estimator.identification.record import survey_record
+
+    rows = max(2, most_values // max(1, y.shape[1]))
+    out = [(f.code, f.text) for f in survey_record(rig.model, y[:rows], rate_hz).findings]
+    if len(y) > rows and out:
+        out = [(code, f"{text} (of the first {rows / rate_hz:.4g} s)") for code, text in out]
+    return out

@@ -16,7 +16,10 @@ Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
 
 def import_(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help=".npz .csv .mat .mf4 .uff .wav, or .log .blf .asc with a DBC.")
+        Path,
+        typer.Argument(
+            metavar="FILE", help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC."
+        ),
     ],
     rig: RigOption,
     out: Annotated[Path, typer.Option("--out", metavar="LOG.mcap", help="The log to write.")],
@@ -39,7 +42,7 @@ def import_(
 
 def export(
     log: Log,
-    to: Annotated[Path, typer.Option("--to", metavar="FILE", help=".npz .csv .mat .wav, by ending.")],
+    to: Annotated[Path, typer.Option("--to", metavar="FILE", help=".npz .csv .mat .mf4 .wav, by ending.")],
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,

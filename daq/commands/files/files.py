@@ -12,22 +12,44 @@ from rich.text import Text
 from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines, gap_reasons
 from daq.base.contract.dates import utc_text
+from daq.base.contract.errors import ConfigError, LogError
 from daq.log.reader import Recording, read_log
+from daq.rig.rig import Rig
 from drivers.contract import Notice
 
 MOST_LINES = 10
+SURVEYED_VALUES = 4_000_000  # samples of all channels in a log that is looked at: 3 s of computing
 
 
 def info(output: Output, log: Path) -> None:
     from daq.log.info import info as facts
 
     recording = read_log(log)
+    found = _findings(recording)
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    for heading, text in _rows(recording):
+    for heading, text in _rows(recording) + [
+        ("channels' faults" if not k else "", t) for k, (_, t) in enumerate(found)
+    ]:
         table.add_row(heading, Text(text))
-    output.result(facts(recording), table)
+    value = facts(recording) | {"findings": [{"code": code, "text": text} for code, text in found]}
+    output.result(value, table)
+
+
+def _findings(log: Recording) -> list[tuple[str, str]]:
+    """What makes the record unfit to be judged, by the log's own rig file; nothing that its notices say already."""
+    from daq.exchange.measurement import findings
+
+    if log.n_samples * len(log.channels) > SURVEYED_VALUES or log.lost_samples > 10 * log.n_samples:
+        return []
+    try:
+        rig = Rig.parse(log.rig_text)
+        y = log.samples(rig, lambda text: None)
+    except (ConfigError, LogError):  # no rig file, or one of another record
+        return []
+    said = {notice.code for notice in log.notices}
+    return [(code, text) for code, text in findings(y, log.rate_hz, rig, SURVEYED_VALUES) if code not in said]
 
 
 def _rows(log: Recording) -> list[tuple[str, str]]:

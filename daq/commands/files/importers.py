@@ -24,6 +24,7 @@ from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session
 from daq.exchange.checks import Record, load
+from daq.exchange.measurement import findings
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI_UNIT
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
@@ -32,6 +33,7 @@ from drivers.foreign import CAPTURE_SUFFIXES
 BLOCK_ROWS = 8192  # in a block
 COUNT_BITS = 32
 OFFSET_RATIO = 64.0  # of a constant over half the range of what changes, from which on it is taken off
+SURVEYED_VALUES = 20_000_000  # samples of all channels, of a longer record the first: 10 s of computing
 LEAST_STEPS = 256.0  # in the median of the sizes: rounding is then below -57 dB of it
 
 
@@ -51,8 +53,8 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     with output.progress(f"reading {path.name}"):
         record = load(path, rig, rate_hz, say, gaps)
     lost = 0 if record.missing is None else int(record.missing.sum())
-    for text in limited(record, rig):
-        say(text, "limited")
+    for code, text in findings(record.si(), record.rate_hz, rig, SURVEYED_VALUES):
+        say(text, code)
     with output.progress(f"writing {out.name}") as progress:
         write_record(record, rig, out, {"source": path.name}, progress, output.note, found)
     value = {
@@ -67,19 +69,6 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     }
     text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
     output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
-
-
-def limited(record: Record, rig: Rig) -> list[str]:
-    """What to tell of motion channels whose samples pile up at a ceiling."""
-    from estimator.identification.record import clipping
-
-    out = []
-    for channel, values, factor in zip(rig.model.channels, record.values, record.factors, strict=True):
-        if channel.place in rig.model.places and channel.kind != "force":
-            found = clipping.clipping_level(values * factor)
-            if found is not None:
-                out.append(clipping.clipping_text(channel.name, *found, record.samples))
-    return out
 
 
 def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:

@@ -1,6 +1,6 @@
 """Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
-from .clipping import clipping_level, clipping_text, pileup_p_value
+from .clipping import clipping_level, pileup_p_value
 from .findings import ChannelSummary, RecordFinding, RecordSurvey
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record
@@ -11,7 +11,6 @@ __all__ = [
     "RecordSurvey",
     "UsableRecord",
     "clipping_level",
-    "clipping_text",
     "level_parameter",
     "pileup_p_value",
     "record_messages",

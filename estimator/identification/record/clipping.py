@@ -53,27 +53,6 @@ def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int
     return _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
 
 
-def clipping_text(name: str, level: float, count: int, samples: int) -> str:
-    """The message on a clipped channel.
-
-    Parameters
-    ----------
-    name : str
-        Name of the channel.
-    level : float
-        Level of the limiter, in the unit of the channel.
-    count, samples : int
-        Number of samples at the level, and of all samples.
-
-    Returns
-    -------
-    str
-        One sentence without a full stop.
-    """
-    share = 100 * count / samples
-    return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
-
-
 def _pileup(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it; None if a falling density allows as many."""
     top = z.max()

@@ -13,10 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from daq.base.contract.sink import Session
 from daq.commands.cli.app import main
 from daq.commands.files.importers import power_of_two
 from daq.exchange.child import REFUSED_STATUS, refusal
 from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from drivers.contract import Block
 
 RATE = 5120.0
 RIG = """schema = 1
@@ -326,16 +329,33 @@ def test_gaps_only_when_asked_for_and_named_on_the_way_out(folder: Path, capsys:
 def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     y = samples()
     y[:, 1] = np.clip(y[:, 1], -80.0, 80.0)
-    share = 100 * np.mean(np.abs(y[:, 1]) == 80.0)
     assert load(folder, write_npz(folder / "a.npz", y)) == 0
-    said = capsys.readouterr().err
-    finding = re.search(rf"b1y is limited to \+-[\d.e+]+ in {share:.2g} % of its samples", said)
+    finding = re.search(r"b1y is clipped at \+-80 m/s\^2 in .*", capsys.readouterr().err)
     assert finding
-    assert "b1x is limited" not in said
     assert main(["info", str(folder / "log.mcap"), "--json", str(folder / "i.json")]) == 0
     assert f"warning: {finding[0]}" in capsys.readouterr().out
-    notices = json.loads((folder / "i.json").read_text())["notices"]
-    assert [(n["level"], n["code"], n["text"]) for n in notices] == [("warning", "limited", finding[0])]
+    told = json.loads((folder / "i.json").read_text())
+    assert [(n["level"], n["code"], n["text"]) for n in told["notices"]] == [("warning", "clipped", finding[0])]
+    assert told["findings"] == []  # said once
+
+
+def test_what_makes_a_record_unfit_is_said_by_import_and_info(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    y = samples()
+    assert load(folder, write_npz(folder / "a.npz", y, b1y=y[:, 0] * 9.80665)) == 0
+    assert "b1x and b1y carry the same signal" in capsys.readouterr().err
+    still = np.where(np.arange(4000) < 2000, y[:, 1], y[2000, 1])
+    assert load(folder, write_npz(folder / "a.npz", y, b1y=still)) == 0
+    said = re.search(r"b1y is frozen: it stands still at.*", capsys.readouterr().err)
+    assert said
+    log = read_log(folder / "log.mcap")
+    writer = LogWriter(folder / "live.mcap", live=False)  # a log that nobody surveyed
+    writer.start(Session(model=None, info=log.info, device="", attachments={"rig.toml": RIG.encode()}, metadata={}))  # type: ignore[arg-type]
+    writer.readings([Block(0, log.counts(), 10**9)])
+    writer.close()
+    assert main(["info", str(folder / "live.mcap")]) == 0
+    assert said[0][:40] in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_process_that_reads_lets_go_of_what_it_read_before_it_says_why_not() -> None:

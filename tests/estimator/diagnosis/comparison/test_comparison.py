@@ -10,7 +10,6 @@ import pytest
 from hidden_effects import RATE, one_bearing, record, schema
 
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.identification.record import clipping
 from estimator.identification.record.clipping import clipping_level
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.model.rig import Model
@@ -96,11 +95,6 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
         assert found is not None
         assert found[0] == top
         assert 60 < found[1] < 400
-
-
-def test_the_share_of_clipped_samples_reads_well() -> None:
-    for count, text in ((61, "in 0.061 %"), (1340, "in 1.3 %"), (100_000, "in 100 %")):
-        assert text in clipping.clipping_text("b1x", 27.8, count, 100_000)
 
 
 @pytest.mark.slow
