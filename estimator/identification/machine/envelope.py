@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from estimator.arrays import Array
 from .pieces import Pieces
 
 MAX_PIECE_S = 20.0  # the phase of strikes that slip is lost within some seconds
-BANDS_PER_RATE = (1, 2, 3, 4, 6, 8, 12, 16, 24)  # bands that share the range up to half the rate, finest ones last
+BANDS_PER_RATE = (1, 2, 4, 6, 8, 12, 16, 24)  # bands that share the range up to half the rate, finest ones last
 MIN_BAND_OVER_HIGHEST = 0.25  # width of a band over the highest frequency asked for
 TOP_OF_NYQUIST = 0.94  # part of the range below half the rate that a recorder passes
 FLOOR_BLOCK_HZ, FLOOR_BLOCK_BINS = 20.0, 8  # of the floor that whitens: wider than a line, narrower than a mode
@@ -68,10 +69,9 @@ def envelope_spectra(pieces: Pieces, highest_hz: float) -> list[EnvelopeSpectrum
     edges = list(_bank(pieces, highest_hz))
     sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
     for group in pieces.groups():
-        for x in group:
-            X = (rfft(x) * gain).astype(np.complex64)
-            for total, (a, b) in zip(sums, edges, strict=True):
-                total += _squared_envelope_power(X[a:b], total.shape[1])
+        X = (rfft(group, axis=1) * gain).astype(np.complex64)
+        for total, (a, b) in zip(sums, edges, strict=True):
+            total += _squared_envelope_power(X[:, a:b], total.shape[1])
     return [
         EnvelopeSpectrum(
             band_hz=(a / pieces.seconds, b / pieces.seconds),
@@ -96,19 +96,27 @@ def _bank(pieces: Pieces, highest_hz: float) -> Iterator[tuple[int, int]]:
 def _squared_envelope_power(X: NDArray[np.complex64], bins: int) -> Array:
     """(2, bins) squared amplitudes of the lines of the squared envelope of a band, and their mean under random phases.
 
-    X : bins of the band.
+    Both are sums over pieces, over the squared mean of the squared envelope, under a Hann window.
+
+    X : (pieces, bins of the band). The transforms are as long as lags up to `bins` need.
     """
-    n = next_fast_len(2 * X.size)
-    z = ifft(X, n)
-    envelope = z.real**2 + z.imag**2
-    window = np.hanning(n + 1)[:-1].astype(np.float32)
-    mean = max(float(envelope @ window) / float(window.sum()), 1e-30)
-    S = rfft((envelope / mean - 1.0) * window)[:bins]
-    power = S.real.astype(np.float64) ** 2 + S.imag.astype(np.float64) ** 2
-    products = rfft((X.real**2 + X.imag**2).astype(np.float64) / mean, n)
-    R = irfft(products.real**2 + products.imag**2, n)[: bins + 1] / float(n) ** 2
-    beside = np.concatenate([[R[1]], R[: bins - 1]]) + R[1 : bins + 1]
-    return np.array([power, 0.25 * R[:bins] + 0.0625 * beside]) * (2.0 / float(window.sum())) ** 2
+    n = next_fast_len(X.shape[1] + bins, real=True)
+    z = ifft(X, n, axis=1)
+    P = X.real**2 + X.imag**2
+    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, 1e-30)  # n times the mean of the squared envelope
+    S = rfft((z.real**2 + z.imag**2) / (mean / n), axis=1)[:, : bins + 1]
+    S[:, 0] = 0.0
+    windowed = 0.5 * S[:, :bins] - 0.25 * (_before(S)[:, :bins] + S[:, 1:])
+    power = windowed.real.astype(np.float64) ** 2 + windowed.imag.astype(np.float64) ** 2
+    products = rfft(P / mean, n, axis=1)
+    R = irfft(products.real**2 + products.imag**2, n, axis=1)[:, : bins + 1].astype(np.float64)
+    random = 0.25 * R[:, :bins] + 0.0625 * (_before(R)[:, :bins] + R[:, 1:])
+    return np.array([power.sum(axis=0), random.sum(axis=0)]) * (4.0 / n) ** 2
+
+
+def _before(lags: NDArray[Any]) -> NDArray[Any]:
+    """(pieces, k) values one lag before each, of a function of the lag that is conjugate-even about 0."""
+    return np.concatenate([lags[:, 1:2].conj(), lags[:, :-1]], axis=1)
 
 
 def _whitening(pieces: Pieces) -> Array:

@@ -49,7 +49,7 @@ class Pieces:
         """Length of a piece, s."""
         return self.size / self.rate_hz
 
-    def groups(self, max_rows: int = 1 << 21) -> Iterator[Array]:
+    def groups(self, max_rows: int = 1 << 20) -> Iterator[Array]:
         """Some pieces at a time, (pieces, size), each less its mean: at most about `max_rows` samples."""
         step = max(1, max_rows // max(self.size, 1))
         for first in range(0, len(self.starts), step):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.identification.record import RecordSurvey
 from estimator.model.rig import MOTION, Model
 from estimator.results import Message
 
@@ -15,7 +14,7 @@ from .pieces import Pieces
 from .spectra import level_spectra
 from .speed import shaft_speed
 from .strikes import find_strikes
-from .tones import significant_lines, tones_of
+from .tones import significant_lines, tones_of, without_strike_lines
 
 MAX_TONES_SHOWN = 10
 FORCE_UNIT = "N"
@@ -23,14 +22,7 @@ MORE_TONES = "more_tones"  # tones beyond those shown
 NO_PIECES = "no_gap_free_piece"  # a channel has no run of samples that is long enough
 
 
-class ChannelsSurveyed(Protocol):
-    """What the machine layer asks of the record layer: the names of channels that are not to be used."""
-
-    @property
-    def unusable(self) -> frozenset[str]: ...
-
-
-def survey_machine(model: Model, y: Array, rate_hz: float, record: ChannelsSurveyed | None = None) -> MachineSurvey:
+def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey | None = None) -> MachineSurvey:
     """Speed of the shaft, tones and strike trains of a record.
 
     Parameters
@@ -63,7 +55,8 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: ChannelsSurve
         rms[name] = float(np.nanstd(y[:, i]))
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
-    tones = tones_of(significant_lines(spectra), speed, units, rms)
+    lines = without_strike_lines(significant_lines(spectra), strikes, speed)
+    tones = tones_of(lines, speed, units, rms)
     shown, more = _shown(tones)
     return MachineSurvey(
         speed=speed, tones=shown, strikes=tuple(strikes), messages=(*messages, *remarks, *struck, *more)

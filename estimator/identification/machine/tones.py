@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.arrays import Array
 
-from .machine_survey import ShaftSpeed, Tone, ToneKind
+from .machine_survey import ShaftSpeed, StrikeTrain, Tone, ToneKind
 from .spectra import HANN_BIN_CORRELATION, LevelSpectrum
 
 MAX_FALSE_TONE_CHANCE = 1e-3  # of one false line in a record
@@ -20,8 +20,12 @@ EDGE_BINS = 3  # at 0 Hz and at half the rate in which no line is looked for
 MAX_LINES_PER_LEVEL = 400
 MAINS_HZ = (50.0, 60.0)
 MAX_MAINS_MULTIPLE = 12
-MAINS_TOLERANCE_REL = 1e-3  # deviation of a grid from its nominal frequency
-MAX_ORDER_TOLERANCE = 0.1  # of the shaft; a line is named an order only if the record places it better than this
+MAINS_TOLERANCE_REL = 2e-3  # of a grid from its nominal frequency, and of the clock of a recorder
+MAX_MAINS_TOLERANCE_REL = 0.03  # of the mains frequency; a record that places a line worse does not name it
+MAX_ORDER_TOLERANCE = 0.03  # of the shaft's frequency; what places a line worse calls one in twenty an order by chance
+MAX_STRONG_ORDER_TOLERANCE = 0.1  # for the orders that every shaft has
+STRONG_ORDERS = range(1, 6)  # of every shaft, also where a bearing strikes
+STRIKE_SIDEBANDS, STRIKE_TOLERANCE_REL = 2, 2e-3  # at the shaft speed, to either side; slip from strike to strike
 RESOLUTION_BINS = 1.0  # between a line and the frequency that it is said to have
 
 
@@ -86,12 +90,48 @@ def _lines_of(channel: str, level: LevelSpectrum, log_searched: float) -> list[L
 
 
 def _resolved(lines: Iterable[Line]) -> list[Line]:
-    """Lines of one channel without those that a clearer one stands for."""
-    out: list[Line] = []
+    """Lines of one channel without those that a clearer one stands for, each where the finest resolution has it."""
+    groups: list[list[Line]] = []
     for line in sorted(lines, key=lambda line: line.log_p):
-        if all(abs(line.hz - o.hz) > 2.0 * max(line.half_width_hz, o.half_width_hz) for o in out):
-            out.append(line)
-    return out
+        near = (g for g in groups if abs(line.hz - g[0].hz) <= 2.0 * max(line.half_width_hz, g[0].half_width_hz))
+        group = next(near, None)
+        if group is None:
+            groups.append([line])
+        elif abs(line.hz - group[0].hz) <= group[0].half_width_hz:
+            group.append(line)
+    return [_at_finest(group) for group in groups]
+
+
+def _at_finest(group: Sequence[Line]) -> Line:
+    """The first line of a group, at the frequency that the finest resolution gives."""
+    finest = min(line.half_width_hz for line in group)
+    lines = [line for line in group if line.half_width_hz == finest]
+    hz, power = np.array([line.hz for line in lines]), np.array([line.amplitude**2 for line in lines])
+    mean = float(hz @ power / power.sum())
+    return replace(group[0], hz=mean, half_width_hz=max(finest, float(np.abs(hz - mean).max())))
+
+
+def without_strike_lines(
+    lines: Sequence[Line], strikes: Sequence[StrikeTrain], speed: ShaftSpeed | None
+) -> list[Line]:  # fmt: skip
+    """Lines that are no harmonics of a strike train, with their sidebands at the shaft speed; orders are kept."""
+    if speed is None:
+        return list(lines)
+    return [
+        line
+        for line in lines
+        if shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
+        or not any(_is_of_train(line, train.frequency_hz, speed.hz) for train in strikes)
+    ]
+
+
+def _is_of_train(line: Line, train_hz: float, shaft_hz: float) -> bool:
+    """Whether a line is a harmonic of a train or a sideband of one."""
+    for side in np.arange(-STRIKE_SIDEBANDS, STRIKE_SIDEBANDS + 1) * shaft_hz:
+        k = round((line.hz - side) / train_hz)
+        if k >= 1 and abs(line.hz - side - k * train_hz) <= line.half_width_hz + STRIKE_TOLERANCE_REL * k * train_hz:
+            return True
+    return False
 
 
 def tones_of(
@@ -115,9 +155,9 @@ def tones_of(
     named = [entry for entry in named if entry[0].narrow or entry[1] != "other"]
     out: list[tuple[float, Tone]] = []
     while named:
-        line, kind, order = named[0]
-        same = [e for e in named if _is_same(e, named[0]) and units[e[0].channel] == units[line.channel]]
+        same = [e for e in named if _is_same(e, named[0]) and units[e[0].channel] == units[named[0][0].channel]]
         named = [e for e in named if e not in same]
+        line, kind, order = min(same, key=lambda e: e[0].half_width_hz)
         amplitude: dict[str, float] = {}
         for other, _, _ in same:
             amplitude.setdefault(other.channel, other.amplitude)
@@ -128,7 +168,7 @@ def tones_of(
             frequency_hz=line.hz,
             amplitude=amplitude,
             unit=units[line.channel],
-            p_value=float(np.exp(max(line.log_p, -690.0))),
+            p_value=float(np.exp(max(min(e[0].log_p for e in same), -690.0))),
             power_ratio=max(e[0].power_ratio for e in same),
         )
         out.append((share, tone))
@@ -140,9 +180,9 @@ Named = tuple[Line, ToneKind, float | None]
 
 def _is_same(a: Named, b: Named) -> bool:
     """Whether two named lines are one tone: one order, or one frequency within the resolution."""
-    if a[1] == b[1] == "order":
-        return a[2] == b[2]
-    return a[1] == b[1] and abs(a[0].hz - b[0].hz) <= max(a[0].half_width_hz, b[0].half_width_hz)
+    if a[1] == b[1] == "order" and a[2] == b[2]:
+        return True
+    return abs(a[0].hz - b[0].hz) <= max(a[0].half_width_hz, b[0].half_width_hz)
 
 
 def _name(line: Line, speed: ShaftSpeed | None, mains: float | None) -> tuple[ToneKind, float | None]:
@@ -157,7 +197,8 @@ def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
     """The shaft order that a line at a frequency is, 0 for none. half_width_hz : resolution of the record."""
     k = round(hz / speed.hz)
     tolerance = half_width_hz + 2.0 * k * speed.sd_hz
-    near = k >= 1 and abs(hz - k * speed.hz) <= tolerance and tolerance <= MAX_ORDER_TOLERANCE * speed.hz
+    limit = MAX_STRONG_ORDER_TOLERANCE if k in STRONG_ORDERS else MAX_ORDER_TOLERANCE
+    near = k >= 1 and abs(hz - k * speed.hz) <= tolerance and tolerance <= limit * speed.hz
     return k if near else 0
 
 
@@ -165,7 +206,7 @@ def _is_mains(line: Line, mains: float) -> bool:
     """Whether a line is a multiple of the mains frequency (Hz)."""
     k = round(line.hz / mains)
     tolerance = 0.5 * line.half_width_hz + MAINS_TOLERANCE_REL * line.hz
-    return 1 <= k <= MAX_MAINS_MULTIPLE and abs(line.hz - k * mains) <= tolerance < 0.1 * mains
+    return 1 <= k <= MAX_MAINS_MULTIPLE and abs(line.hz - k * mains) <= tolerance < MAX_MAINS_TOLERANCE_REL * mains
 
 
 def _mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
