@@ -25,7 +25,7 @@ NO_VALUE = 1e30  # in whatever unit: no sensor says so much, but instruments wri
 # Rates that a time column without a unit gives if it is taken as s, over what they are
 FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 FACTOR_TOLERANCE = 0.02
-MOST_ROWS = 1e9  # of a record with holes
+MOST_MISSING = 1_000_000  # samples in the holes of a record, beyond a hundred for each that is there
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int, gaps: bool) ->
     if jumps.size:
         whole = np.ones(samples - 1)
         whole[jumps] = np.rint(steps[jumps] / step)
-        if whole.sum() > MOST_ROWS:
+        if whole.sum() > 100 * samples + MOST_MISSING:
             raise LogError(f"{path}: its gaps are {whole.sum():.3g} samples long; import the parts by themselves")
         rows = np.concatenate([[0], np.cumsum(whole.astype(np.int64))])
     slope = (time[-1] - time[0]) / rows[-1]
