@@ -66,7 +66,7 @@ def answer(question: Question) -> dict[str, Any]:
         for effect, at in question.known:
             rig = Rig.parse(with_effect(rig, effect, at), base, path)
         found = diagnose(rig.model, question.y, question.rate_hz)
-        return found.to_json() if found.bearing.judged else {"error": found.bearing.reason}
+        return found.to_json() if found.bearing.judged or found.ranking else {"error": found.bearing.reason}
     except (DataError, ModelError, RotorscopeError) as problem:
         return {"error": str(problem).splitlines()[0]}
 
