@@ -23,7 +23,7 @@ from daq.base.contract.errors import ConfigError
 from daq.exchange.measurement import Measurement
 from daq.report.layers import lines as layer_lines
 from daq.report.signal_spectra import signal_spectra
-from daq.report.words import message_text
+from daq.report.words import is_of_the_model, message_text
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig
 
@@ -136,7 +136,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
         "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
-    }.get(name, f"missing: {name}; {known}")
+    }.get(name, f"{'missing' if is_of_the_model(value) else 'found in the signal'}: {name}; {known}")
     return [*people, f"verdict: {name}", _not_judged(value) or verdict]
 
 

@@ -50,7 +50,7 @@ def _machine(machine: Json, units: Mapping[str, str]) -> Iterator[str]:
         yield f"shaft {speed['value']:.5g} ± {number(speed['sd'], 1)} rpm ({SPEED_SOURCES[speed['source']]})"
     else:
         yield "shaft speed unknown: no order has a name"
-    tones = machine["tones"]
+    tones = sorted(machine["tones"], key=lambda tone: tone_name(tone) not in ("1X", "2X"))  # else as they come
     more = f"; and {len(tones) - MAX_TONES} others" if len(tones) > MAX_TONES else ""
     yield ("tones: " + "; ".join(map(tone_text, tones[:MAX_TONES])) + more) if tones else "no tones"
     trains = [strike_text(train) for train in machine["strikes"]]

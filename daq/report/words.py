@@ -97,7 +97,8 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
         return [f"Diagnosis: {verdict}."]
     before, after = best["missing_force_before_percent"], best["missing_force_after_percent"]
     where, p = listed(best["at"]), odds(best["p_value"])
-    text = f"Diagnosis: {verdict} at {where} {'was' if past else 'is'} missing (p {p})."
+    seen = f"{'was' if past else 'is'} missing" if is_of_the_model(diagnosis) else "is found in the signal"
+    text = f"Diagnosis: {verdict} at {where} {seen} (p {p})."
     if after < before:
         fall = f"{'fell' if past else 'falls'} from {percent(before)} to {percent(after)}"
         text += f" With it the missing force there {fall}."
@@ -106,6 +107,13 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if second is not None:
         said.append(f"The runner-up is {second['effect']} at {listed(second['at'])}.")
     return said
+
+
+def is_of_the_model(diagnosis: Json) -> bool:
+    """Whether the verdict says what the model of the bearings lacks; else it says what channels and spectra show."""
+    judged = diagnosis.get("bearing", {}).get("judged", True)
+    best = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
+    return bool(judged and (best is None or best["missing_force_before_percent"]))
 
 
 def runner_up(diagnosis: Json) -> Json | None:
