@@ -95,8 +95,9 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) 
     scale = 2.0 / (data.rate_hz * 0.375 * data.block)
     pairs = ((R, R), (R, a), (a, a), (R, f), (a, f), (f, f))
     power = [scale * np.mean(one * other.conj(), axis=0) for one, other in pairs]
-    edges = np.unique(np.round(np.geomspace(20, keep.sum(), MAX_CELLS)).astype(int))
-    first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
+    single = min(20, int(keep.sum()))  # cells of one bin at the lower end of the band
+    edges = np.unique(np.round(np.geomspace(single, keep.sum(), MAX_CELLS)).astype(int))
+    first = np.concatenate([np.arange(single), edges[:-1]])
     width = np.diff(np.append(first, keep.sum())).astype(np.float64)
 
     def mean(z: NDArray[np.generic]) -> Complexes:

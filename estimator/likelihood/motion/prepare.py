@@ -59,10 +59,11 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    motion = _band_limited(model, used, columns, rate_hz).whole(np.float32)
+    filtered = _band_limited(model, used, columns, rate_hz)
+    motion = filtered.whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * TIME_FOLDS:
-        raise DataError(_too_short(used, starts.size, rate_hz, block))
+        raise DataError(_too_short(used, model.band[0], rate_hz, block, filtered.half))
     P = len(places)
     stretches = joined_blocks(starts, block)
 
@@ -141,15 +142,19 @@ def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
     return moving, shaken
 
 
-def _too_short(used: Array, blocks: int, rate_hz: float, block: int) -> str:
-    """Why a record with so few valid blocks is refused."""
-    needed = f"at least {2 * TIME_FOLDS * block / rate_hz:.2g} s are needed"
+def _too_short(used: Array, low_hz: float, rate_hz: float, block: int, half: int) -> str:
+    """Why a record with too few valid blocks is refused.
+
+    used : (n, columns). low_hz : lower edge of the band. half : rows that the filter loses at either end of a stretch.
+    """
+    at_once, whole = (2 * half + block) / rate_hz, (2 * half + 2 * TIME_FOLDS * block) / rate_hz
+    band = f"for band.low {low_hz:g} Hz"
     if np.isfinite(used).all():
-        left = f"{len(used) / rate_hz:.2g} s, {blocks * block / rate_hz:.2g} s of it behind the analysis filter"
-        return f"the record has {left}; {needed}: record half a minute or more"
+        has = f"the record has {len(used) / rate_hz:.2g} s"
+        return f"{has}, at least {whole:.2g} s are needed {band}: record longer, or raise band.low"
     return (
-        f"only {blocks * block / rate_hz:.2f} s in stretches of {block / rate_hz:.2g} s without a missing or "
-        f"clipped sample; {needed}: see what the gaps come from, or record longer"
+        f"too few stretches of {at_once:.2g} s without a missing sample: {2 * TIME_FOLDS} are needed {band}, or one of "
+        f"{whole:.2g} s; see what the gaps come from, record longer, or raise band.low"
     )
 
 
@@ -160,6 +165,11 @@ def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, S
         if model.cap_mass(model.places[i]) is None:
             Z = np.stack([a[i], v[i], x[i]]).astype(np.float64)
             mass[i] = np.linalg.solve(Z @ Z.T, Z @ force)[0]
+            if not mass[i] > 0.0:
+                raise DataError(
+                    f"the force measured at {model.places[i]} does not follow the acceleration there (mass "
+                    f"{mass[i]:.3g} kg): check unit and polarity of both channels, or give [rig.mass]"
+                )
     return mass
 
 
