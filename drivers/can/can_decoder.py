@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.contract.notices import Notices
 from drivers.contract.reading import Info, LinkStats, Reading
@@ -52,6 +53,11 @@ class CanDecoder:
         self._axis.cause(reason)
         if reason == "reconnect":
             self._classic.reset()
+
+    def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:
+        """(n,) frames of the device."""
+        offset = frames.ids.astype(np.int64) - self._base
+        return np.asarray((offset >= 0) & (offset <= protocol.ID_INFO_PART))
 
     def feed(self, frames: CanFrames, t_host_ns: int) -> list[Reading]:
         """Readings of these frames; t_host_ns is when the last was read."""

@@ -1,26 +1,69 @@
-"""Frames of a capture by the batch, as python-can's readers give them one by one."""
+"""Frames of a capture by the batch: on which bus, sent or received, and what could not be read."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.can.can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 
 BATCH_FRAMES = 4096
 LARGEST_ID = 0x1FFF_FFFF
 LATEST_NS = 2**62  # the year 2116; later is damage, and would not fit
+FrameTuple = tuple[int, bytes, int]  # identifier with flags, data, t_ns
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """damaged : lines or records that could not be read; why: the first reason, "" if none."""
+    """Some frames of a file.
+
+    buses : (n,) which of `names` each frame was on. names : of the buses of the file so far, as its format counts them.
+    sent : (n,) frames that the recorder itself sent. holes : (n + 1,) damaged lines or records before each frame, and
+    behind the last. why : the first reason, "" if none. said : what the user has to know of the file, code and text.
+    """
 
     frames: CanFrames
-    damaged: int = 0
+    buses: NDArray[np.int16]
+    names: tuple[str, ...]
+    sent: NDArray[np.bool_]
+    holes: NDArray[np.int64]
     why: str = ""
+    said: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def damaged(self) -> int:
+        return int(self.holes.sum())
+
+    def pick(self, which: NDArray[np.bool_]) -> Batch:
+        """Some of the frames; damage in front of one that is left out stays in front of the next."""
+        holes = np.zeros(int(which.sum()) + 1, np.int64)
+        np.add.at(holes, np.concatenate([[0], np.cumsum(which)]), self.holes)
+        return Batch(
+            frames=self.frames.pick(which), buses=self.buses[which], names=self.names, sent=self.sent[which],
+            holes=holes, why=self.why, said=self.said,
+        )  # fmt: skip
+
+    def cut(self, at: int) -> tuple[Batch, Batch]:
+        """The first `at` frames, and the others."""
+        parts = []
+        for piece, holes in ((slice(at), np.append(self.holes[:at], 0)), (slice(at, None), self.holes[at:])):
+            parts.append(
+                Batch(
+                    frames=self.frames.pick(piece),
+                    buses=self.buses[piece],
+                    names=self.names,
+                    sent=self.sent[piece],
+                    holes=holes,
+                    why=self.why,
+                    said=self.said,
+                )  # fmt: skip
+            )
+        return parts[0], parts[1]
 
 
 class Batches(Protocol):
@@ -31,40 +74,91 @@ class Batches(Protocol):
     def close(self) -> None: ...
 
 
-def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, None, None]:
-    messages = iter(reader)
+@dataclass(slots=True)
+class Collector:
+    """Frames and damage, one after the other, into batches."""
+
+    names: list[str] = field(default_factory=list)
+    why: str = ""
+    said: list[tuple[str, str]] = field(default_factory=list)
+    _number: dict[str, int] = field(default_factory=dict)
+    _frames: list[FrameTuple] = field(default_factory=list)
+    _buses: list[int] = field(default_factory=list)
+    _sent: list[bool] = field(default_factory=list)
+    _holes: list[int] = field(default_factory=list)
+    _damaged: int = 0
+    _since: int = 0
+
+    def frame(self, frame: FrameTuple, bus: str, sent: bool) -> None:
+        number = self._number.get(bus)
+        if number is None:
+            number = self._number[bus] = len(self.names)
+            self.names.append(bus)
+        self._frames.append(frame)
+        self._buses.append(number)
+        self._sent.append(sent)
+        self._holes.append(self._since)
+        self._since = 0
+
+    def damage(self, why: str) -> None:
+        self._since += 1
+        self._damaged += 1
+        self.why = self.why or why
+
+    def tell(self, code: str, text: str) -> None:
+        self.said.append((code, text))
+
+    @property
+    def full(self) -> bool:
+        return len(self._frames) >= BATCH_FRAMES or self._damaged >= BATCH_FRAMES
+
+    def take(self) -> Batch:
+        """What has come since the last call."""
+        batch = Batch(
+            frames=CanFrames.build(self._frames), buses=np.array(self._buses, np.int16), names=tuple(self.names),
+            sent=np.array(self._sent, np.bool_), holes=np.array([*self._holes, self._since], np.int64), why=self.why,
+            said=tuple(self.said),
+        )  # fmt: skip
+        self._frames, self._buses, self._sent, self._holes = [], [], [], []
+        self._damaged, self._since, self.why, self.said = 0, 0, "", []
+        return batch
+
+
+def batches_of(reader: Any, file: Path, first_bus: int = 0) -> Generator[Batch, None, None]:
+    """Batches of one of python-can's readers. first_bus : number of its channel 0 as the file's format counts."""
+    messages, out = iter(reader), Collector()
     ended = False
     try:
         while not ended:
-            frames: list[tuple[int, bytes, int]] = []
-            damaged, why = 0, ""
-            while len(frames) < BATCH_FRAMES and damaged < BATCH_FRAMES and not ended:
+            while not out.full and not ended:
                 try:
                     message = next(messages, None)
                 except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
                     text = " ".join(str(error).split())
-                    text = text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}"
-                    damaged, why = damaged + 1, why or text
+                    out.damage(text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}")
                     ended = not getattr(reader, "goes_on", False)
                     messages = messages if ended else iter(reader)  # behind the damage
                     continue
                 if message is None:
                     ended = True
-                elif bus is None or str(message.channel) == bus:
-                    frame = _frame(message)
-                    if isinstance(frame, str):
-                        damaged, why = damaged + 1, why or frame
-                    else:
-                        frames.append(frame)
-            if ended and not damaged:
-                why = _cut(reader, file)
-                damaged = 1 if why else 0
-            yield Batch(CanFrames.build(frames), damaged, why)
+                    continue
+                frame = _frame(message)
+                if isinstance(frame, str):
+                    out.damage(frame)
+                else:
+                    out.frame(frame, _bus(message.channel, first_bus), not message.is_rx)
+            if ended and not out.why and (why := _cut(reader, file)):
+                out.damage(why)
+            yield out.take()
     finally:
         reader.stop()
 
 
-def _frame(message: Any) -> tuple[int, bytes, int] | str:
+def _bus(channel: Any, first_bus: int) -> str:
+    return str(channel + first_bus) if isinstance(channel, int) else str(channel or "")
+
+
+def _frame(message: Any) -> FrameTuple | str:
     """Identifier, data and time; or why it is none."""
     flags = EXTENDED_FLAG if message.is_extended_id else 0
     flags |= (REMOTE_FLAG if message.is_remote_frame else 0) | (ERROR_FLAG if message.is_error_frame else 0)

@@ -8,6 +8,7 @@ BATCH for each batch, END.
 from __future__ import annotations
 
 import gc
+import json
 import os
 import signal
 import struct
@@ -23,11 +24,11 @@ import numpy as np
 from drivers.can.can_frames import CanFrames
 from drivers.contract.errors import LinkOpenError, LinkUnavailable
 
-from .capture_batches import Batch, batches_of
+from .capture_batches import Batch, Collector, batches_of
 
 OPENED_TAG, UNAVAILABLE_TAG, REFUSED_TAG, BATCH_TAG, END_TAG = (bytes((letter,)) for letter in b"OURBZ")
 _PART_STRUCT = struct.Struct("<cI")  # tag, length
-_COUNTS_STRUCT = struct.Struct("<III")  # frames, damaged records, bytes of the reason
+_COUNTS_STRUCT = struct.Struct("<III")  # frames, bytes of the names of the buses, bytes of the reason
 LEAST_BYTES, FILE_SIZE_FACTOR = 2 << 30, 100  # memory that the process may take: this, and a multiple of the file
 LEAST_S, BYTES_PER_S = 20, 100_000  # and CPU time: on some damaged files asammdf does not come to an end
 
@@ -37,15 +38,8 @@ Opened = TypeVar("Opened")
 class Mf4Batches:
     """The batches of a file, as open_capture gives them. Raises LinkOpenError | LinkUnavailable when it is made."""
 
-    def __init__(self, file: Path, bus: str | None) -> None:
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "drivers.foreign.mf4_capture",
-            str(file.resolve()),
-            *([bus] if bus else []),
-        ]
+    def __init__(self, file: Path) -> None:
+        command = [sys.executable, "-P", "-m", "drivers.foreign.mf4_capture", str(file.resolve())]
         self._child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for us: we close it
@@ -72,7 +66,9 @@ class Mf4Batches:
         self.close()
         if kind == END_TAG:
             raise StopIteration
-        return Batch(CanFrames.build([]), 1, _ended(self._child.returncode))
+        crashed = Collector()
+        crashed.damage(_ended(self._child.returncode))
+        return crashed.take()
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -95,20 +91,33 @@ class Mf4Batches:
 
 
 def _packed(batch: Batch) -> bytes:
-    f, why = batch.frames, batch.why.encode()
-    arrays = (f.ids, f.lengths, f.t_ns, f.payload)
-    return _COUNTS_STRUCT.pack(len(f), batch.damaged, len(why)) + why + b"".join(array.tobytes() for array in arrays)
+    f, why, names = batch.frames, batch.why.encode(), json.dumps(batch.names).encode()
+    arrays = (f.ids, f.lengths, f.t_ns, f.payload, batch.buses, batch.sent.view(np.uint8), batch.holes)
+    head = _COUNTS_STRUCT.pack(len(f), len(names), len(why))
+    return head + names + why + b"".join(array.tobytes() for array in arrays)
 
 
 def _unpacked(content: bytes) -> Batch:
-    n, damaged, size = _COUNTS_STRUCT.unpack_from(content)
-    at, arrays = _COUNTS_STRUCT.size + size, list[Any]()
-    for kind, width in ((np.uint32, 1), (np.uint8, 1), (np.int64, 1), (np.uint8, 64)):
-        arrays.append(np.frombuffer(content, kind, n * width, at))
+    n, size_names, size_why = _COUNTS_STRUCT.unpack_from(content)
+    begin = _COUNTS_STRUCT.size
+    at, arrays = begin + size_names + size_why, list[Any]()
+    kinds = (
+        (np.uint32, n),
+        (np.uint8, n),
+        (np.int64, n),
+        (np.uint8, 64 * n),
+        (np.int16, n),
+        (np.uint8, n),
+        (np.int64, n + 1),
+    )
+    for kind, count in kinds:
+        arrays.append(np.frombuffer(content, kind, count, at))
         at += arrays[-1].nbytes
-    ids, lengths, t_ns, payload = arrays
-    why = content[_COUNTS_STRUCT.size : _COUNTS_STRUCT.size + size].decode("utf-8", "replace")
-    return Batch(CanFrames(ids, lengths, payload.reshape(n, 64), t_ns), damaged, why)
+    ids, lengths, t_ns, payload, buses, sent, holes = arrays
+    names = tuple(str(each) for each in json.loads(content[begin : begin + size_names]))
+    why = content[begin + size_names : begin + size_names + size_why].decode("utf-8", "replace")
+    frames = CanFrames(ids, lengths, payload.reshape(n, 64), t_ns)
+    return Batch(frames=frames, buses=buses, names=names, sent=sent.view(np.bool_), holes=holes, why=why)
 
 
 def _opened_quietly(make: Callable[[], Opened]) -> Opened:
@@ -144,7 +153,7 @@ def _bounded(file_bytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 
-def _serve(out: BinaryIO, path: Path, bus: str | None) -> None:
+def _serve(out: BinaryIO, path: Path) -> None:
     def say(kind: bytes, content: bytes = b"") -> None:
         out.write(_PART_STRUCT.pack(kind, len(content)) + content)
         out.flush()
@@ -160,7 +169,7 @@ def _serve(out: BinaryIO, path: Path, bus: str | None) -> None:
         say(REFUSED_TAG, str(error).encode())
     else:
         say(OPENED_TAG)
-        for batch in batches_of(reader, bus, path):
+        for batch in batches_of(reader, path):
             say(BATCH_TAG, _packed(batch))
         say(END_TAG)
 
@@ -169,6 +178,6 @@ if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     try:
-        _serve(answers, Path(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else None)
+        _serve(answers, Path(sys.argv[1]))
     except BrokenPipeError:
         os._exit(0)  # nobody wants the rest

@@ -1,15 +1,19 @@
 """Signals of a DBC file compiled into a plan that decodes many frames at once.
 
-cantools reads the file; one frame at a time it is 100 times slower than this. Counts are the raw integers. An unsigned
-signal is re-centred (2^(bits-1) subtracted, the offset moved accordingly) so that counts always have a sign; a
-floating-point one is cut into steps of its range / 2^30, or of 1e-6 of its unit if it states none.
+One frame at a time, cantools is 100 times slower than this. Counts are the raw integers. An unsigned signal is
+re-centred (2^(bits-1) subtracted, the offset moved accordingly) so that counts always have a sign; a floating-point one
+is cut into steps, a power of two, that are chosen by its values: 2^-28 of the largest.
+
+What is no value is missing: the codes of J1939 for "not available" and "error", those that a value table calls so, and
+the extreme code of a signal beyond its stated limits. Other values beyond the limits stay: the limits are wrong.
 """
 
 from __future__ import annotations
 
-import difflib
+import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +23,11 @@ from drivers.can.can_frames import EXTENDED_FLAG
 from drivers.contract.errors import LinkError
 from drivers.contract.reading import Signal
 
-FLOAT_STEP = 1e-6
+from .dbc import Database, find_signals, load_dbc, no_value_codes
+
+FLOAT_BITS = 28  # of a count at the largest value known so far; eight times as much fits, more needs other steps
+J1939_VALUES_SHARE = 0xFB / 0x100  # of a J1939 parameter's codes: those from FB.. on are indicators (J1939-71)
+NO_NUMBER = 1e30  # a float beyond is no measurement: the largest float, or what stands for infinity
 _J1939_PGN = 0x03FF_FF00  # priority and source address do not matter
 _J1939_PGN_ADDRESSED = 0x03FF_0000  # PDU1: nor does the destination
 
@@ -63,8 +71,14 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One signal: counts and whether they mean anything. low, high : physical range, None if the DBC states none."""
+    """One signal: counts and whether they mean anything.
 
+    path : its name, for what is told. step : of the counts of a float; 0 until its values are known. low, high : limits
+    in the DBC, None if it states none. codes : raw values that are no value, and their names. first_code : of J1939,
+    the first raw value that is an indicator.
+    """
+
+    path: str
     bits: Bits
     signed: bool
     floating: bool
@@ -72,46 +86,129 @@ class Field:
     step: float
     low: float | None
     high: float | None
-    selector: Bits | None = None
-    selected: frozenset[int] = frozenset()
+    codes: Mapping[int, str]
+    first_code: int | None
 
-    def read(self, payload: U8Array, lengths: U8Array) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """(n,) counts and (n,) valid. Too short, of another multiplex page, out of its range: not valid."""
+    def read(
+        self, payload: U8Array, lengths: U8Array, told: Counter[tuple[str, str]] | None = None
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """(n,) counts and (n,) valid. Too short, a code for no value, no number: not valid. told : what was odd."""
         raw = self.bits.read(payload)
         valid = lengths >= self.bits.first + self.bits.count
-        if self.selector is not None:
-            valid &= np.isin(self.selector.read(payload), list(self.selected))
-        half = 1 << (self.bits.length - 1)
+        told = Counter() if told is None else told
         if self.floating:
-            kind = {16: np.float16, 32: np.float32, 64: np.float64}[self.bits.length]
-            unsigned = {16: np.uint16, 32: np.uint32, 64: np.uint64}[self.bits.length]
-            with np.errstate(invalid="ignore"):  # a signalling NaN
-                number = raw.astype(unsigned).view(kind).astype(np.float64)
-            valid &= np.isfinite(number)
+            number = self._number(raw)
+            valid &= np.abs(number) < NO_NUMBER  # nor is it NaN
             counts = np.rint(np.where(valid, number, 0.0) / self.step)
             valid &= np.abs(counts) < 2.0**31
-            counts = np.where(valid, counts, 0).astype(np.int32)
-        elif self.signed:
+            return np.where(valid, counts, 0).astype(np.int32), valid
+        if self.signed:
             shift = np.uint64(64 - self.bits.length)
             counts = ((raw << shift).view(np.int64) >> shift.astype(np.int64)).astype(np.int32)
         else:
-            counts = (raw.astype(np.int64) - half).astype(np.int32)
+            counts = (raw.astype(np.int64) - (1 << (self.bits.length - 1))).astype(np.int32)
+        if self.first_code is not None or self.codes:
+            self._leave_codes_out(raw, valid, told)
         if self.low is not None and self.high is not None:
-            value = counts * self.signal.scale + self.signal.offset
-            slack = 0.5 * abs(self.signal.scale)
-            valid &= (value >= self.low - slack) & (value <= self.high + slack)
+            self._look_at_limits(raw, counts, valid, told, (self.low, self.high))
         return counts, valid
+
+    def largest(self, payload: U8Array, lengths: U8Array) -> float:
+        """The largest magnitude of a float's values."""
+        number = np.abs(self._number(self.bits.read(payload)))
+        number = number[(lengths >= self.bits.first + self.bits.count) & (number < NO_NUMBER)]
+        return float(number.max()) if len(number) else 0.0
+
+    def stepped(self, largest: float) -> Field:
+        """With steps that suit values up to `largest`."""
+        step = 2.0 ** (math.frexp(largest)[1] - FLOAT_BITS) if largest else 2.0**-FLOAT_BITS
+        scale = self.signal.scale * step / (self.step or 1.0)
+        return replace(self, step=step, signal=replace(self.signal, scale=scale))
+
+    def _number(self, raw: U64Array) -> NDArray[np.float64]:
+        kind = {16: np.float16, 32: np.float32, 64: np.float64}[self.bits.length]
+        unsigned = {16: np.uint16, 32: np.uint32, 64: np.uint64}[self.bits.length]
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return np.asarray(raw.astype(unsigned).view(kind).astype(np.float64))
+
+    def _leave_codes_out(self, raw: U64Array, valid: NDArray[np.bool_], told: Counter[tuple[str, str]]) -> None:
+        if self.first_code is not None:
+            no_value = valid & (raw >= np.uint64(self.first_code))
+            if no_value.any():
+                text = f"codes from 0x{self.first_code:X} on, by which J1939 says not available or error: missing"
+                told["no_value", f"{self.path}: {text}"] += int(no_value.sum())
+                valid &= ~no_value
+        for code, name in self.codes.items():
+            no_value = valid & (raw == np.uint64(code))
+            if no_value.any():
+                text = f'the value table (VAL_) of the DBC calls 0x{code:X} "{name}": missing'
+                told["no_value", f"{self.path}: {text}"] += int(no_value.sum())
+                valid &= ~no_value
+
+    def _look_at_limits(
+        self, raw: U64Array, counts: NDArray[np.int32], valid: NDArray[np.bool_], told: Counter[tuple[str, str]],
+        limits: tuple[float, float],
+    ) -> None:  # fmt: skip
+        low, high = limits
+        value = counts * self.signal.scale + self.signal.offset
+        slack = 0.5 * abs(self.signal.scale)
+        outside = valid & ~((value >= low - slack) & (value <= high + slack))
+        if not outside.any():
+            return
+        top = (1 << (self.bits.length - 1 if self.signed else self.bits.length)) - 1
+        extreme = outside & np.isin(raw, np.array([top, top - 1, top + 1 if self.signed else top], np.uint64))
+        said = f"the limits of the DBC, {low:g} to {high:g}"
+        if extreme.any():
+            text = f"{self.path}: the extreme codes of its {self.bits.length} bits lie outside {said}: missing"
+            told["no_value", text] += int(extreme.sum())
+            valid &= ~extreme
+        if others := int((outside & ~extreme).sum()):
+            told["outside_limits", f"{self.path}: values outside {said}: kept; correct the DBC"] += others
+
+
+Conditions = tuple[tuple[Bits, frozenset[int]], ...]  # multiplexers, the outermost first, and their values
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Fields that are in a frame together. columns : which channel each is."""
+
+    conditions: Conditions
+    fields: tuple[Field, ...]
+    columns: tuple[int, ...]
+
+    def hit(self, payload: U8Array, lengths: U8Array) -> NDArray[np.bool_]:
+        """(n,) whether frames of its message are this page."""
+        out = np.ones(len(payload), np.bool_)
+        for selector, values in self.conditions:
+            out &= np.isin(selector.read(payload), np.array(sorted(values), np.uint64))
+            out &= lengths >= selector.first + selector.count
+        return out
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """The mapped signals of one message. columns : which channel each field is."""
+    """Frames that carry the same channels: one message of the DBC, or some pages of one. pages : any of them."""
 
     name: str
     identifier: int
     mask: int
-    fields: tuple[Field, ...]
-    columns: tuple[int, ...]
+    pages: tuple[Page, ...]
+
+    @property
+    def label(self) -> str:
+        """For what is told: name and identifier."""
+        return f"{self.name} (0x{self.identifier & 0x1FFF_FFFF:X})"
+
+    @property
+    def paged(self) -> bool:
+        return any(page.conditions for page in self.pages)
+
+    def with_fields(self, fields: Mapping[int, Field]) -> Message:
+        """With other fields, by channel."""
+        pages = [replace(p, fields=tuple(fields.get(c, f) for c, f in zip(p.columns, p.fields, strict=True)))
+                 for p in self.pages]  # fmt: skip
+        return replace(self, pages=tuple(pages))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,91 +218,108 @@ class SignalPlan:
     messages: tuple[Message, ...]
     signals: tuple[Signal, ...]
     count_bits: int
+    names: Mapping[str, int]  # every message of the DBC, and its identifier with flags
+
+    def with_messages(self, messages: tuple[Message, ...]) -> SignalPlan:
+        fields = {c: f for m in messages for p in m.pages for c, f in zip(p.columns, p.fields, strict=True)}
+        signals = tuple(fields[column].signal for column in range(len(self.signals)))
+        return replace(self, messages=messages, signals=signals)
 
 
 def compile_plan(dbc: bytes, signals: Mapping[str, str]) -> SignalPlan:
     """signals : channel -> "Message.Signal", in the order of the channels. Raises LinkError."""
-    import cantools
-
-    try:
-        database = cantools.database.load_string(dbc.decode("utf-8", "replace"), "dbc", strict=False)
-    except Exception as error:
-        text = " ".join(str(error).split())
-        raise LinkError(f"the DBC file cannot be read: {text}: check link.dbc") from error
+    database = load_dbc(dbc)
     if not signals:
         raise LinkError('the signal map is empty: give channel = "Message.Signal" for each channel')
-    found: dict[str, tuple[Any, list[tuple[int, Field]]]] = {}
+    found: dict[int, tuple[Any, list[tuple[int, list[tuple[Conditions, Field]]]]]] = {}
     for column, (channel, path) in enumerate(signals.items()):
-        message, signal = _look_up(database, channel, path)
-        entry = found.setdefault(message.name, (message, []))
-        entry[1].append((column, _field(message, signal, channel)))
-    messages = [_message(message, fields) for message, fields in found.values()]
+        message, candidates = find_signals(database, channel, path)
+        pages_of = [(_conditions(message, each), _field(database, message, each, channel)) for each in candidates]
+        if len({(f.signal, f.bits.length, f.signed, f.floating) for _, f in pages_of}) > 1:
+            text = f"{path} is on {len(pages_of)} pages of its message, with different factors"
+            raise LinkError(f"signal map, {channel}: {text}: give it two names in the DBC")
+        found.setdefault(id(message), (message, []))[1].append((column, pages_of))
+    messages = [each for message, channels in found.values() for each in _messages(database, message, channels)]
     messages.sort(key=lambda each: each.identifier)
-    columns = [pair for message in messages for pair in zip(message.columns, message.fields, strict=True)]
-    fields = [each for _, each in sorted(columns, key=lambda pair: pair[0])]
-    bits = max(32 if each.floating else each.bits.length for each in fields)
-    return SignalPlan(tuple(messages), tuple(each.signal for each in fields), bits)
+    fields = {c: f for m in messages for p in m.pages for c, f in zip(p.columns, p.fields, strict=True)}
+    bits = max(32 if each.floating else each.bits.length for each in fields.values())
+    every = {each.name: _identifier(each) for each in database.messages}
+    return SignalPlan(tuple(messages), tuple(fields[c].signal for c in range(len(signals))), bits, every)
 
 
-def _look_up(database: Any, channel: str, path: str) -> tuple[Any, Any]:
-    where = f"signal map, {channel} = {path!r}"
-    name, _, signal_name = path.partition(".")
-    if not signal_name:
-        raise LinkError(f"{where}: write Message.Signal")
-    message = next((each for each in database.messages if each.name == name), None)
-    if message is None:
-        raise LinkError(f"{where}: no message {name!r}{_near(name, [each.name for each in database.messages])}")
-    signal = next((each for each in message.signals if each.name == signal_name), None)
-    if signal is None:
-        names = [each.name for each in message.signals]
-        raise LinkError(f"{where}: no signal {signal_name!r} in {name}{_near(signal_name, names)}")
-    return message, signal
+def _messages(
+    database: Database, message: Any, channels: list[tuple[int, list[tuple[Conditions, Field]]]]
+) -> list[Message]:
+    """Channels that are on the same pages make one; those on every page go with the first of the others."""
+    groups: dict[tuple[Conditions, ...], list[tuple[int, list[Field]]]] = {}
+    for column, pages in channels:
+        key = tuple(conditions for conditions, _ in pages)
+        groups.setdefault(key, []).append((column, [field for _, field in pages]))
+    common = groups.pop(((),), [])
+    if common and not groups:
+        groups[((),)] = []
+    out = []
+    for key, members in groups.items():
+        made: list[Page] = []
+        for k, conditions in enumerate(key):
+            fields = [(column, each[k]) for column, each in members] + [(column, each[0]) for column, each in common]
+            fields.sort(key=lambda pair: pair[0])
+            made.append(Page(conditions, tuple(f for _, f in fields), tuple(c for c, _ in fields)))
+        identifier, mask = _match(database, message)
+        out.append(Message(message.name, identifier, mask, tuple(made)))
+        common = []
+    return out
 
 
-def _near(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name, known, 1)
-    return f"; did you mean {close[0]!r}?" if close else f"; it has {', '.join(known[:8])}"
+def _conditions(message: Any, signal: Any) -> Conditions:
+    """What the multiplexers above a signal must hold, the outermost first."""
+    out: list[tuple[Bits, frozenset[int]]] = []
+    while signal.multiplexer_ids and signal.multiplexer_signal and len(out) < len(message.signals):
+        chooser = next(each for each in message.signals if each.name == signal.multiplexer_signal)
+        out.insert(0, (_bits(chooser), frozenset(signal.multiplexer_ids)))
+        signal = chooser
+    return tuple(out)
 
 
-def _field(message: Any, signal: Any, channel: str) -> Field:
-    big = signal.byte_order == "big_endian"
+def _bits(signal: Any) -> Bits:
+    return Bits.of(signal.start, signal.length, signal.byte_order == "big_endian")
+
+
+def _field(database: Database, message: Any, signal: Any, channel: str) -> Field:
+    path = f"{message.name}.{signal.name}"
     if not signal.is_float and signal.length > 32:
-        where = f"{message.name}.{signal.name}"
-        raise LinkError(f"{where}: {signal.length} bits do not fit counts of 32: use another signal")
+        raise LinkError(f"{path}: {signal.length} bits do not fit counts of 32: use another signal")
     scale, offset = float(signal.scale), float(signal.offset)
+    if scale == 0.0 or not math.isfinite(scale) or not math.isfinite(offset):
+        raise LinkError(f"{path}: the DBC gives a factor of {scale:g} and an offset of {offset:g}: correct the DBC")
     low = None if signal.minimum is None else float(signal.minimum)
     high = None if signal.maximum is None else float(signal.maximum)
     if low is None or high is None or low >= high:
         low = high = None
-    step = 1.0
-    if signal.is_float:
-        step = FLOAT_STEP if low is None or high is None else max(abs(low), abs(high)) / 2**30 / abs(scale)
-        scale *= step
-    elif not signal.is_signed:
+    if not signal.is_float and not signal.is_signed:
         offset += scale * 2 ** (signal.length - 1)
-    selector, selected = None, frozenset[int]()
-    if signal.multiplexer_ids and signal.multiplexer_signal:
-        chooser = next(each for each in message.signals if each.name == signal.multiplexer_signal)
-        selector = Bits.of(chooser.start, chooser.length, chooser.byte_order == "big_endian")
-        selected = frozenset(signal.multiplexer_ids)
+    first_code = None
+    if _is_j1939(database, message) and not signal.is_float and not signal.is_signed and signal.length >= 8:
+        first_code = round(J1939_VALUES_SHARE * 2**signal.length)
     return Field(
-        bits=Bits.of(signal.start, signal.length, big), signed=signal.is_signed, floating=signal.is_float,
-        signal=Signal(channel, signal.unit or "", scale, offset), step=step, low=low, high=high, selector=selector,
-        selected=selected,
+        path=path, bits=_bits(signal), signed=signal.is_signed, floating=signal.is_float,
+        signal=Signal(channel, signal.unit or "", scale, offset), step=0.0 if signal.is_float else 1.0,
+        low=low, high=high, codes=no_value_codes(signal), first_code=first_code,
     )  # fmt: skip
 
 
-def _message(message: Any, fields: list[tuple[int, Field]]) -> Message:
-    mask, identifier = 0xFFFF_FFFF, int(message.frame_id)
-    if message.is_extended_frame:
-        identifier |= EXTENDED_FLAG
-    if message.protocol == "j1939":
+def _is_j1939(database: Database, message: Any) -> bool:
+    return bool(message.is_extended_frame) and (message.protocol == "j1939" or database.j1939)
+
+
+def _identifier(message: Any) -> int:
+    return int(message.frame_id) | (EXTENDED_FLAG if message.is_extended_frame else 0)
+
+
+def _match(database: Database, message: Any) -> tuple[int, int]:
+    """Identifier and mask."""
+    mask, identifier = 0xFFFF_FFFF, _identifier(message)
+    if _is_j1939(database, message):
         addressed = (identifier >> 16) & 0xFF < 240
         mask = EXTENDED_FLAG | (_J1939_PGN_ADDRESSED if addressed else _J1939_PGN)
-    return Message(
-        name=message.name,
-        identifier=identifier & mask,
-        mask=mask,
-        fields=tuple(each for _, each in fields),
-        columns=tuple(column for column, _ in fields),
-    )
+    return identifier & mask, mask

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
@@ -55,11 +56,25 @@ def parse_link(url: str) -> LinkConfig:
         raise LinkError(f"link {url!r}: a colon is missing; write {LINK_FORMS[kind]}")
     if not colon or kind not in LINK_FORMS:
         raise LinkError(f"link {url!r}: {_instead(kind, LINK_FORMS)}; valid are {' | '.join(LINK_FORMS.values())}")
-    rest, _, query = rest.partition("?")
+    rest, query = _query(kind, rest)
     options = _Options(url, kind, query)
     config = _PARSER_OF_KIND[kind](rest, options)
     options.finish()
     return config
+
+
+def _query(kind: str, rest: str) -> tuple[str, str]:
+    """The name, and its options. A file's name may hold question marks: the last one begins the options, if any."""
+    if kind not in ("capture", "replay"):
+        name, _, query = rest.partition("?")
+        return name, query
+    try:
+        if Path(rest).exists():
+            return rest, ""
+    except (OSError, ValueError):
+        pass
+    name, mark, query = rest.rpartition("?")
+    return (name, query) if mark else (rest, "")
 
 
 def make_driver(

@@ -1,113 +1,287 @@
-"""Places samples that carry no counter: arrival times give the index, at the nominal rate.
+"""Places samples that carry no counter: arrival times give the index, at the device's true rate.
 
 A frame can come late (queues, bursts) but never early. So the earliest arrivals within a short look-ahead tell how
-many samples have gone by, and a sample is missing only if nothing catches up. The axis follows a clock error of a few
-hundred ppm; a faster slip is missing samples.
+many samples have gone by, and a sample is missing only if nothing catches up. The period is measured first, and
+followed: a clock that is off, or drifts, is no loss. A loss is placed where frames are known to be damaged, else at
+the first sample that shows it; where stamps come in bursts, that is uncertain by the length of a burst.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from .period import NOMINAL_REL, SHARP_REL, Period, estimate_period, round_rate
+
 LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
 MAX_LOOK_AHEAD = 4096  # samples
-MAX_DRIFT_REL = 5e-4  # relative rate error that is followed
-RATE_SAMPLES = 32  # samples needed to estimate a rate
+MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
+EXACT_DRIFT_REL = 2e-3  # and where each stamp places its sample
+LEAST_SAMPLES, LEAST_S = 32, 1.0  # a rate is measured over both, or over
+ENOUGH_S = 2.0  # and a few samples
+PIECE_SAMPLES = 256  # placed by one line, at most; and no more than drift by
+PIECE_DRIFT_SAMPLES = 0.25
+MOST_UNSURE_REL = 2e-2  # of the period
+HISTORY_PIECES = 32  # over which the period is followed
+CLOSE_SAMPLES = 0.35  # short of a whole sample, lateness counts as one: it never comes early
+STEP_BACK_NS = 1_000_000
+FAR_NS, LEAP_NS = 86_400_000_000_000, 1_000_000_000
 
 F64Array = NDArray[np.float64]
 I64Array = NDArray[np.int64]
 
 
-class TimeAxis:
-    """`place` takes the times of new samples; indices of those that can be placed come out, the rest is held."""
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """index : of the oldest held samples. unsure : samples missing whose place is known to within `within` only."""
 
-    def __init__(self, rate_hz: float | None) -> None:
-        self.rate_hz = rate_hz
+    index: I64Array
+    unsure: int = 0
+    within: int = 0
+
+
+class TimeAxis:
+    """`place` takes the times of new samples; indices of those that can be placed come out, the rest is held.
+
+    nominal_hz : rate that is said; the measured one is used where it is another.
+    learn : samples to measure the rate over; what comes first is held until then.
+    """
+
+    def __init__(self, nominal_hz: float | None, learn: int = LEAST_SAMPLES) -> None:
+        self.rate_hz: float | None = None  # of the axis, once it is known
+        self.nominal_hz = nominal_hz
+        self.measured: Period | None = None
         self.stepped_back = 0  # times the clock went back
+        self.leapt = 0  # times that it leapt over days
+        self._learn_samples = learn
+        self._period_ns = 0.0
         self._held = np.empty(0, np.int64)
-        self._origin_ns = 0
-        self._placed = 0  # samples so far
-        self._missing = 0
-        self._base: float | None = None
+        self._hints = np.empty(0, np.int64)
+        self._last_ns: int | None = None
+        self._leaps_ns = 0  # of all leaps so far
+        self._anchor_ns = 0  # the next sample, if none is missing, comes at this time
+        self._rest_ns = 0.0  # and this part of a nanosecond
+        self._next = 0  # its index
+        self._least_unsure_rel = MAX_DRIFT_REL
+        self._unsure_rel = MAX_DRIFT_REL  # of the period, so much of which is followed
         self._late = 0.0  # samples by which frames have lately been late
+        self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY_PIECES)
+        self._origin_ns = 0
 
     @property
     def held(self) -> int:
         return len(self._held)
 
-    def place(self, t_ns: I64Array, final: bool = False) -> I64Array:
-        """Indices of the oldest held samples, as many as are certain; with `final`, of all."""
-        times = np.concatenate([self._held, t_ns])
-        self._held = times
-        self.stepped_back += int((np.diff(t_ns) < -1_000_000).sum())
-        if len(times) == 0 or not self._learn(times, final) or self.rate_hz is None:
-            return np.empty(0, np.int64)
-        if self._base is None:
-            self._origin_ns = int(times[0])
-        lag = (times - self._origin_ns) * (self.rate_hz / 1e9) - np.arange(self._placed, self._placed + len(times))
-        ahead = max(4, min(MAX_LOOK_AHEAD, round(LOOK_AHEAD_S * self.rate_hz)))
-        earliest = _earliest(lag, ahead)
-        if self._base is None:
-            self._base = float(earliest[0])
-        missing, sure = self._levels(np.rint(earliest - self._base), len(times) - ahead, ahead, final)
-        if sure == 0:
-            return np.empty(0, np.int64)
-        index = np.arange(self._placed, self._placed + sure) + missing[:sure]
-        self._follow(earliest[:sure] - missing[:sure], sure)
-        late = float(np.quantile(lag[:sure] - missing[:sure] - self._base, 0.98))
-        self._late = max(late, 0.9 * self._late)
-        self._held = times[sure:]
-        self._placed += sure
-        self._missing = int(missing[sure - 1])
-        return index
+    def place(self, t_ns: I64Array, final: bool = False, hints: I64Array | None = None) -> Placed:
+        """Place the oldest held samples, as many as are certain; with `final`, all.
 
-    def _levels(self, behind: F64Array, whole: int, ahead: int, final: bool) -> tuple[I64Array, int]:
+        hints : (n,) frames known to be damaged just before each sample.
+        """
+        t_ns = self._without_leaps(t_ns)
+        self._held = np.concatenate([self._held, t_ns])
+        self._hints = np.concatenate([self._hints, np.zeros(len(t_ns), np.int64) if hints is None else hints])
+        if len(self._held) == 0 or (self.rate_hz is None and not self._learn(final)):
+            return Placed(np.empty(0, np.int64))
+        times = self._held
+        passed = (times - self._anchor_ns - self._rest_ns) / self._period_ns
+        lag = np.asarray(passed - np.arange(len(times)), np.float64)
+        ahead = self._ahead()
+        placed = self._pieces(lag, _earliest(lag, ahead), ahead, final)
+        sure = len(placed.index)
+        self._held, self._hints = times[sure:], self._hints[sure:]
+        return placed
+
+    def _without_leaps(self, t_ns: I64Array) -> I64Array:
+        """Count what is no passing of time: steps back, and leaps over days, which count as a second."""
+        if len(t_ns) == 0:
+            return t_ns
+        steps = np.diff(t_ns, prepend=t_ns[:1] if self._last_ns is None else [self._last_ns])
+        self._last_ns = int(t_ns[-1])
+        self.stepped_back += int((steps < -STEP_BACK_NS).sum())
+        far, back = steps > FAR_NS, steps < -FAR_NS
+        if far.any() or back.any():
+            self.leapt += int(far.sum())
+            leaps = self._leaps_ns + np.cumsum(np.where(far, steps - LEAP_NS, np.where(back, steps, 0)))
+            self._leaps_ns = int(leaps[-1])
+            return np.asarray(t_ns - leaps)
+        return np.asarray(t_ns - self._leaps_ns)
+
+    def _pieces(self, lag: F64Array, earliest: F64Array, ahead: int, final: bool) -> Placed:
+        n, done, base, level = len(lag), 0, 0.0, 0
+        missing = np.zeros(n, np.int64)
+        unsure = within = 0
+        size = max(1, min(PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
+        while done < n:
+            stop = min(done + size, n)
+            beyond = slice(done, stop + round(4.0 * (self._late + 2.0)))
+            found, sure = self._levels(earliest[beyond] - base, level, n - ahead - done, ahead, final)
+            certain = min(sure, stop - done)
+            sure = self._apart(found[:certain], level)
+            if sure == 0:
+                break
+            here = slice(done, done + sure)
+            missing[here] = found[:sure]
+            if found[sure - 1] > level:
+                more, width = self._sharpen(missing, lag - base, level, here)
+                unsure, within = unsure + more, max(within, width)
+            rest = earliest[here] - found[:sure]
+            self._late = max(_quantile(lag[here] - found[:sure] - base, 0.98), 0.9 * self._late)
+            base += _drift(_quantile(rest, 0.5) - base, self._unsure_rel * sure)
+            done, level = done + sure, int(found[sure - 1])
+            self._remember(self._next + done + level, done + level + base)
+            if done < stop and sure == certain:
+                break
+        index = self._next + np.arange(done) + missing[:done]
+        self._advance(done + level, base)
+        return Placed(index, unsure, within)
+
+    def _apart(self, found: I64Array, level: int) -> int:
+        """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""
+        steps = np.flatnonzero(np.diff(found, prepend=level))
+        near = steps[steps > max(0.0, len(found) - self._late - 3.0)]
+        return int(near[0]) if len(near) else len(found)
+
+    def _levels(self, behind: F64Array, level: int, whole: int, ahead: int, final: bool) -> tuple[I64Array, int]:
         """(n,) samples missing before each, and how many of these are certain.
 
-        A step up counts if it is more than frames have lately been late, or if it lasts for the whole look-ahead.
+        A step up counts if it is more than frames have lately been late, or if it lasts for longer than a burst.
         """
-        n, level = len(behind), self._missing
-        raw = np.maximum.accumulate(np.maximum(behind, level)).astype(np.int64)
+        n = len(behind)
         result = np.full(n, level, np.int64)
-        sure = n
+        raw = np.floor(behind + CLOSE_SAMPLES)
+        if not (raw > level).any():
+            return result, n
+        raw = np.maximum.accumulate(np.maximum(raw, level)).astype(np.int64)
         steps = [*np.flatnonzero(np.diff(raw, prepend=level) > 0).tolist(), n]
         for start, stop in zip(steps[:-1], steps[1:], strict=True):
             if start >= whole and not final:
-                sure = min(sure, start)  # a later frame may still catch up
-                break
-            if raw[start] - level > self._late + 0.5 or stop - start >= ahead:
+                return result, start  # a later frame may still catch up
+            lasts = (max(n, whole + ahead) if stop == n else stop) - start
+            if raw[start] - level > self._late + 0.5 or lasts >= 2.0 * (self._late + 1.0):
                 level = int(raw[start])
-            elif stop == n and not final:
-                sure = min(sure, start)
-                break
             result[start:] = level
-        return result, sure
+        return result, n
 
-    def _learn(self, times: I64Array, final: bool) -> bool:
-        """Estimate the rate from the first samples, if it was not given."""
-        if self.rate_hz is not None:
-            return True
-        if len(times) < RATE_SAMPLES and not (final and len(times) > 1):
+    def _sharpen(self, missing: I64Array, lag: F64Array, level: int, here: slice) -> tuple[int, int]:
+        """Move each step to where frames are known to be damaged. Returns samples whose place is unsure, and by how
+        many samples.
+
+        A step shows at the first sample that has no earlier one behind it; the loss lies between that and the first
+        sample that comes in time for the new level.
+        """
+        unsure = within = 0
+        steps = np.flatnonzero(np.diff(missing[here], prepend=level)) + here.start
+        for start in steps.tolist():
+            before = int(missing[start - 1]) if start > here.start else level
+            size = int(missing[start]) - before
+            prompt = np.flatnonzero(lag[start:] < missing[start] + 1.0 - CLOSE_SAMPLES)
+            stop = start + (int(prompt[0]) if len(prompt) else 0)
+            if stop == start:
+                continue
+            end = min(stop + round(self._late) + 2, here.stop)
+            after = np.flatnonzero(missing[start:end] > missing[start])
+            end = start + int(after[0]) if len(after) else end
+            hints = np.minimum(np.cumsum(self._hints[start:end]), size)
+            left = size - int(hints[-1])
+            missing[start:end] = before + hints + left
+            if left:
+                unsure, within = unsure + left, max(within, stop - start)
+        return unsure, within
+
+    def _learn(self, final: bool) -> bool:
+        """Measure the period of the first samples."""
+        times, n = self._held, len(self._held)
+        span_s = float(times.max() - times.min()) / 1e9
+        enough = n >= self._learn_samples and span_s >= LEAST_S
+        if not final and not enough and not (self._learn_samples <= LEAST_SAMPLES and n >= 8 and span_s >= ENOUGH_S):
             return False
-        steps = np.diff(times)
-        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        if step == 0.0:
+        nominal_ns = None if self.nominal_hz is None else 1e9 / self.nominal_hz
+        found = estimate_period(times, nominal_ns)
+        self.measured = found
+        if found is None and nominal_ns is None:
+            steps = np.diff(times)
+            if not (steps > 0).any():
+                return False
+            found = Period(float(np.median(steps[steps > 0])), 1.0, False)
+        if nominal_ns is not None and (found is None or not off_nominal(found, nominal_ns)):
+            self.rate_hz = self.nominal_hz
+            found = found if found is not None and _sharp(found) else Period(nominal_ns, 0.0, False)
+        if found is None:
             return False
-        even = steps[np.abs(steps - step) < 0.02 * step]
-        if len(even) < len(steps) // 2:  # stamps too coarse for that
-            even = steps[np.abs(steps - step) <= 0.5 * step]
-        self.rate_hz = _round_rate(1e9 / float(np.mean(even if len(even) else step)))
+        error_rel = self.measured.error_rel if self.measured is not None and not found.exact else 0.0
+        self._least_unsure_rel = EXACT_DRIFT_REL if found.exact else MAX_DRIFT_REL
+        self._unsure_rel = max(self._least_unsure_rel, min(2.0 * error_rel, MOST_UNSURE_REL))
+        self._period_ns = found.ns
+        self.rate_hz = self.rate_hz or round_rate(found.rate_hz, found.error_rel)
+        self._anchor_ns = self._origin_ns = int(times[0])
+        ahead = self._ahead()
+        lag = (times[: 4 * ahead] - times[0]) / self._period_ns - np.arange(len(times))[: 4 * ahead]
+        self._late = max(0.0, _quantile(lag - _earliest(lag, ahead), 0.9))
+        first = times[:ahead]
+        self._rest_ns = float((first - first[0] - np.arange(len(first)) * self._period_ns).min())
         return True
 
-    def _follow(self, lag: F64Array, n: int) -> None:
-        """Move the base line with the device's clock, slowly."""
-        base = self._base or 0.0
-        error = float(np.median(lag)) - base
-        if error < -0.5:  # frames cannot be early: those before were late, or the clock was set back
-            self._base = base + error
-        else:
-            self._base = base + float(np.clip(error, -MAX_DRIFT_REL * n, MAX_DRIFT_REL * n))
+    def _ahead(self) -> int:
+        """Samples of the look-ahead."""
+        return max(4, min(MAX_LOOK_AHEAD, round(LOOK_AHEAD_S * 1e9 / self._period_ns)))
+
+    def _remember(self, index: int, passed: float) -> None:
+        """Follow the period over the last pieces. index : of the next sample; passed : periods since the anchor."""
+        time_ns = (self._anchor_ns - self._origin_ns) + self._rest_ns + passed * self._period_ns
+        if not self._history or index - self._history[-1][0] >= PIECE_SAMPLES:
+            self._history.append((index, time_ns))
+
+    def _advance(self, samples: int, base: float) -> None:
+        passed_ns = (samples + base) * self._period_ns + self._rest_ns
+        whole = int(passed_ns)
+        self._anchor_ns, self._rest_ns = self._anchor_ns + whole, passed_ns - whole
+        self._next += samples
+        half = len(self._history) // 2
+        if half >= 4:
+            points = np.array(self._history)
+            far = points[half:] - points[: len(points) - half]
+            periods = far[:, 1] / far[:, 0]
+            period_ns = float(np.median(periods))
+            if abs(period_ns / self._period_ns - 1.0) < 2.0 * self._unsure_rel:
+                self._period_ns = period_ns
+                spread = 3.0 * float(np.median(np.abs(periods - period_ns))) / period_ns
+                self._unsure_rel = min(self._unsure_rel, max(self._least_unsure_rel, spread))
+
+    def drifted(self) -> float | None:
+        """The rate of late, if it is no longer that of the axis; None if it is, or too little is known."""
+        if (
+            self.rate_hz is None
+            or len(self._history) < HISTORY_PIECES // 2
+            or self._unsure_rel > self._least_unsure_rel
+        ):
+            return None
+        rate_hz = 1e9 / self._period_ns
+        return rate_hz if abs(rate_hz / self.rate_hz - 1.0) > NOMINAL_REL else None
+
+
+def _sharp(found: Period) -> bool:
+    return found.exact or found.error_rel < SHARP_REL
+
+
+def off_nominal(found: Period, nominal_ns: float) -> bool:
+    """Whether a measured period is not the nominal one: by more than an oscillator is off, and than it may be off."""
+    return abs(found.ns / nominal_ns - 1.0) > max(NOMINAL_REL, 2.0 * found.error_rel)
+
+
+def _quantile(values: F64Array, share: float) -> float:
+    """One of the values: numpy's own quantile takes ten times as long."""
+    k = int(share * (len(values) - 1))
+    return float(np.partition(values, k)[k])
+
+
+def _drift(error: float, most: float) -> float:
+    """How far to move the line with the device's clock, slowly."""
+    if error < -0.5:  # frames cannot be early: those before were late, or the clock was set back
+        return error
+    return float(np.clip(error, -most, most))
 
 
 def _earliest(lag: F64Array, ahead: int) -> F64Array:
@@ -121,9 +295,3 @@ def _earliest(lag: F64Array, ahead: int) -> F64Array:
             result[:] = np.minimum.accumulate(result[::-1])[::-1]
         width += step
     return result
-
-
-def _round_rate(rate_hz: float) -> float:
-    """A rate within 0.1 % of a number of two digits is that number."""
-    nice = float(f"{rate_hz:.1e}")
-    return nice if abs(nice - rate_hz) < 1e-3 * rate_hz else float(f"{rate_hz:.6g}")

@@ -34,7 +34,9 @@ from drivers.can.can_decoder import CanDecoder
 from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.can.slcan_codec import MAX_LINE, SlcanCodec, encode_line
 from drivers.contract.errors import LinkError
+from drivers.contract.link_config import CaptureConfig
 from drivers.contract.reading import Block, Gap, LinkStats, Reading
+from drivers.foreign.capture import Capture
 from drivers.foreign.capture_files import open_capture
 from drivers.foreign.mapped import MappedDecoder
 from drivers.links.slcan import SlcanDecoder
@@ -400,14 +402,22 @@ def _parse_parts(suffix: str) -> Target:
 PARSER = Parser()
 
 
+FOREIGN_DBC = b'VERSION ""\nNS_ :\nBS_:\nBU_: d\nBO_ 768 Acc: 8 d\n SG_ X : 0|16@1- (0.01,0) [0|0] "m/s^2" d\n'
+
+
 def _capture(suffix: str) -> Target:
     def target(data: bytes, folder: Path) -> None:
         path = folder / f"a{suffix}"
         _put(data, path)
         with contextlib.suppress(LinkError):
+            driver = Capture(CaptureConfig(str(path)), LinkStats(), FOREIGN_DBC, {"x": "Acc.X"}, None)
+            with contextlib.suppress(LinkError):
+                driver.open()
+            driver.close()
             decoder = CanDecoder(LinkStats())
-            for batch in open_capture(str(path), None):
+            for batch in open_capture(str(path), {"Acc": 0x300}):
                 assert batch.damaged >= 0
+                assert len(batch.holes) == len(batch.frames) + 1
                 decoder.feed(batch.frames, 0)
 
     return target

@@ -20,7 +20,6 @@ from drivers.foreign.mapped import MappedDecoder
 from drivers.foreign.signal_plan import Bits, compile_plan
 from drivers.links.links import make_driver
 from drivers.protocol.device_info import Expected
-from drivers.protocol.time_axis import TimeAxis
 
 MS = 1_000_000
 
@@ -86,7 +85,7 @@ def test_j1939_not_available_is_a_gap_and_a_second_source_is_told() -> None:
     record = decode(frames, {"x": "ACS.Lateral"})
     assert [(gap.index, gap.count, gap.reason) for gap in record.gaps] == [(20, 3, "source")]
     assert np.allclose(values(record), 0.0)
-    assert record.codes() == {"other_source"}
+    assert record.codes() == {"other_source", "no_value"}
 
 
 def test_ifm_extended_identifier_is_not_the_standard_one() -> None:
@@ -149,7 +148,7 @@ BO_ 5 M: 64 d
     payloads = data.draw(st.lists(st.binary(min_size=64, max_size=64), min_size=1, max_size=5))
     message = cantools.database.load_string(text).get_message_by_name("M")
     plan = compile_plan(text.encode(), {"s": "M.S"})
-    field = plan.messages[0].fields[0]
+    field = plan.messages[0].pages[0].fields[0]
     array = np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, 64)
     counts, valid = field.read(array, np.full(len(payloads), 64, np.uint8))
     want = [message.decode(payload)["S"] for payload in payloads]
@@ -200,56 +199,188 @@ def test_any_frames_at_any_times_never_raise(frames: list[tuple[int, bytes, int]
         record.take(decoder.feed(CanFrames.build([]), 0, final=True))
 
 
-class TestTimeAxis:
-    def place(self, times_ms: list[float], rate_hz: float | None, batch: int = 7) -> list[int]:
-        axis = TimeAxis(rate_hz)
-        t_ns = (np.array(times_ms) * 1e6).astype(np.int64)
-        out = [axis.place(t_ns[k : k + batch]) for k in range(0, len(t_ns), batch)]
-        return [*np.concatenate([*out, axis.place(np.empty(0, np.int64), final=True)]).tolist()]
-
-    def test_late_and_bunched_samples_are_not_missing(self) -> None:
-        """50 ms late, then all at once: nothing is lost."""
-        times = [10.0 * k + (50 - 10 * (k - 60) if 60 <= k < 65 else 0) for k in range(200)]
-        assert self.place(times, 100.0) == list(range(200))
-
-    def test_bursts_of_16_ms_at_1_khz(self) -> None:
-        assert self.place([np.ceil(k / 16) * 16 for k in range(600)], 1000.0, 16) == list(range(600))
-
-    def test_missing_samples_are_missing(self) -> None:
-        kept = [k for k in range(400) if not 100 <= k < 107 and k != 250]
-        assert self.place([10.0 * k for k in kept], 100.0) == kept
-
-    def test_missing_amid_bursts(self) -> None:
-        kept = [k for k in range(900) if not 300 <= k < 340]
-        assert self.place([np.ceil(k / 16) * 16 for k in kept], 1000.0, 16) == kept
-
-    def test_a_clock_300_ppm_off_is_followed(self) -> None:
-        for ppm in (300, -300):
-            times = [10.0 * k * (1 + ppm * 1e-6) for k in range(20_000)]
-            assert self.place(times, 100.0, 50) == list(range(20_000))
-
-    def test_rate_is_estimated(self) -> None:
-        axis = TimeAxis(None)
-        rng = np.random.default_rng(1)
-        axis.place(((np.arange(100) / 333.0 + rng.normal(0, 1e-5, 100)) * 1e9).astype(np.int64))
-        assert axis.rate_hz == pytest.approx(333.0, rel=1e-3)
-
-    def test_certain_samples_are_not_held(self) -> None:
-        axis = TimeAxis(100.0)
-        t_ns = np.arange(50) * 10 * MS
-        for k in range(50):
-            assert len(axis.place(t_ns[k : k + 1])) == 1
-        assert axis.held == 0
-
-    @given(st.lists(st.integers(-(2**62), 2**62), max_size=40), st.integers(1, 9))
-    def test_indices_always_rise(self, times: list[int], batch: int) -> None:
-        got = self.place([t / 1e6 for t in times], 100.0, batch)
-        assert len(got) == len(times)
-        assert all(b > a for a, b in zip(got[:-1], got[1:], strict=True))
-
-
 def test_blocks_are_copies() -> None:
     frames = [(0x600, struct.pack(">2f", 1.0, 2.0), 10 * MS * k) for k in range(40)]
     record = decode(frames, {"x": "IMU_A.Ax"})
     assert isinstance(record.blocks[0], Block)
     assert record.blocks[0].counts.flags.owndata or record.blocks[0].counts.base is not None
+
+
+NESTED = b"""VERSION ""
+NS_ :
+BS_: 500000 : 0,0
+BU_: d
+BO_ 256 Acc: 8 d
+ SG_ Top M : 0|8@1+ (1,0) [0|0] "" d
+ SG_ Sub m1M : 8|8@1+ (1,0) [0|0] "" d
+ SG_ X m2 : 16|16@1- (0.01,0) [0|0] "m/s^2" d
+ SG_ Y m3 : 16|16@1- (0.01,0) [0|0] "m/s^2" d
+ SG_ T m0 : 16|16@1- (0.01,0) [0|0] "degC" d
+ SG_ Z : 32|16@1- (0.01,0) [0|0] "m/s^2" d
+BO_ 512 Pages: 8 d
+ SG_ Page M : 0|8@1+ (1,0) [0|0] "" d
+ SG_ V m0 : 8|16@1- (0.01,0) [0|0] "m/s^2" d
+ SG_ V m1 : 24|16@1- (0.01,0) [0|0] "m/s^2" d
+BO_ 768 A: 2 d
+ SG_ S : 0|16@1- (0.01,0) [0|1] "m/s^2" d
+BO_ 769 B: 2 d
+ SG_ S : 0|16@1- (0.01,0) [0|0] "m/s^2" d
+SG_MUL_VAL_ 256 Sub Top 1-1;
+SG_MUL_VAL_ 256 X Sub 2-2;
+SG_MUL_VAL_ 256 Y Sub 3-3;
+SG_MUL_VAL_ 256 T Top 0-0;
+VAL_ 769 S 32767 "SNA" -32768 "Error" 0 "Zero" ;
+"""
+
+
+def run(
+    frames: list[tuple[int, bytes, int]], signals: dict[str, str], dbc: bytes = NESTED, rate_hz: float | None = 100.0,
+    recorded: bool = True,
+) -> Record:  # fmt: skip
+    decoder = MappedDecoder(LinkStats(), dbc, signals, Expected(rate_hz), recorded=recorded)
+    record = Record(ramp=False)
+    built = CanFrames.build(frames)
+    for k in range(0, len(frames), 50):
+        record.take(decoder.feed(built.pick(slice(k, k + 50)), 0))
+    record.take(decoder.feed(CanFrames.build([]), 0, final=True))
+    return record
+
+
+def test_pages_of_nested_multiplexers_are_told_apart_and_others_are_no_losses() -> None:
+    frames = []
+    for k in range(60):
+        frames.append((256, struct.pack("<BBhh", 1, 2, k, -k), 10 * MS * k))
+        frames.append((256, struct.pack("<BBhh", 0, 2, 9999, 0), 10 * MS * k + MS))  # a temperature
+        frames.append((256, struct.pack("<BBhh", 1, 3, 2 * k, 0), 10 * MS * k + 2 * MS))
+    record = run(frames, {"x": "Acc.X", "y": "Acc.Y"})
+    assert not record.gaps
+    assert np.allclose(values(record), np.array([[k, 2 * k] for k in range(60)]) * 0.01)
+
+
+def test_a_signal_on_two_pages_and_one_on_every_page() -> None:
+    frames = [(512, struct.pack("<Bhh", k % 2, k, k) + bytes(3), 10 * MS * k) for k in range(60)]
+    assert np.allclose(values(run(frames, {"v": "Pages.V"}))[:, 0], 0.01 * np.arange(60))
+    frames = [(256, struct.pack("<BBhh", 1, 2, k, -k), 10 * MS * k) for k in range(60)]
+    assert np.allclose(values(run(frames, {"x": "Acc.X", "z": "Acc.Z"}))[-1], [0.59, -0.59])
+
+
+def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
+    raw = [32767 if k == 20 else -32768 if k == 30 else 0 if k == 40 else k for k in range(60)]
+    record = run([(769, struct.pack("<h", each), 10 * MS * k) for k, each in enumerate(raw)], {"s": "B.S"})
+    assert [(gap.index, gap.count) for gap in record.gaps] == [(20, 1), (30, 1)]
+    assert any("SNA" in notice.text for notice in record.notices)
+
+
+def test_values_beyond_untrue_limits_stay_and_its_extreme_codes_do_not() -> None:
+    raw = [32767 if k == 20 else 10 * k for k in range(60)]
+    record = run([(768, struct.pack("<h", each), 10 * MS * k) for k, each in enumerate(raw)], {"s": "A.S"})
+    assert [(gap.index, gap.count) for gap in record.gaps] == [(20, 1)]
+    assert {"outside_limits", "no_value"} <= record.codes()
+
+
+@pytest.mark.parametrize("size", [3e-9, 1.0, 40_000.0, 1e12])
+def test_a_float_keeps_its_precision_whatever_its_size(size: float) -> None:
+    """Small at first: larger values than fit need larger steps, and are no gap."""
+    want = [size * (1e-3 if k < 120 else 1.0) * np.sin(k) for k in range(240)]
+    frames = [(0x600, struct.pack(">2f", 0.0, each), 10 * MS * k) for k, each in enumerate(want)]
+    decoder = MappedDecoder(LinkStats(), DBC, {"y": "IMU_A.Ay"}, Expected(100.0))
+    record, got = Record(ramp=False), []
+    for frame in frames:
+        for reading in decoder.feed(CanFrames.build([frame]), 0):
+            record.take([reading])
+            if isinstance(reading, Block):
+                got += (reading.counts[:, 0] * record.infos[-1].signals[0].scale).tolist()
+    assert not record.gaps
+    assert len(record.infos) == 2
+    assert np.allclose(got, want[: len(got)], atol=1e-7 * size, rtol=0)
+    assert len(got) > 200
+
+
+def test_frames_of_one_instant_are_one_row_in_any_order() -> None:
+    names = {"a": "A.S", "b": "B.S"}
+    frames = []
+    for k in range(100):
+        pair = [(768, struct.pack("<h", k)), (769, struct.pack("<h", -k))]
+        pair = pair[::-1] if k % 3 else pair
+        lost = k == 40 or (k == 41)
+        for j, (identifier, data) in enumerate(pair):
+            if not (lost and identifier == (768 if k == 40 else 769)):
+                frames.append((identifier, data, 10 * MS * k + j * MS // 3))
+    record = run(frames, names)
+    assert [(gap.index, gap.count) for gap in record.gaps] == [(40, 2)]
+    assert np.allclose(values(record).sum(axis=1), 0.0, atol=1e-9)
+
+
+def test_rows_that_came_at_once_are_told_apart_by_order() -> None:
+    """Host stamps: four rows in a burst of 40 ms."""
+    frames = [(768 + j, struct.pack("<h", k), (k // 4 + 1) * 40 * MS) for k in range(200) for j in (0, 1)]
+    record = run(frames, {"a": "A.S", "b": "B.S"}, recorded=False)
+    assert not record.gaps
+    assert record.samples >= 196
+    assert (np.diff(values(record), axis=1) == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "code", "fatal"), [(2.0, "unequal_rates", True), (1.005, "own_clocks", False), (1.0, "", False)]
+)
+def test_messages_of_other_rates_or_clocks_are_told(ratio: float, code: str, fatal: bool) -> None:
+    a = [(768, struct.pack("<h", k), 10 * MS * k) for k in range(300)]
+    b = [(769, struct.pack("<h", k), 4 * MS + round(10 * MS * k / ratio)) for k in range(300)]
+    decoder = MappedDecoder(LinkStats(), NESTED, {"a": "A.S", "b": "B.S"}, Expected(100.0), recorded=True)
+    decoder.feed(CanFrames.build(sorted(a + b, key=lambda frame: frame[2])), 0, final=True)
+    assert [(each.code, each.fatal) for each in decoder.findings] == ([(code, fatal)] if code else [])
+
+
+def test_a_slow_slip_is_told_later() -> None:
+    a = [(768, struct.pack("<h", k), 10 * MS * k) for k in range(12_000)]
+    b = [(769, struct.pack("<h", k), 2 * MS + round(10 * MS * k * (1 + 3e-5))) for k in range(12_000)]
+    assert "own_clocks" in run(sorted(a + b, key=lambda frame: frame[2]), {"a": "A.S", "b": "B.S"}).codes()
+
+
+def test_an_echo_and_two_devices_of_one_identifier_are_found() -> None:
+    for apart, same, code in ((MS // 5, True, "frames_twice"), (3 * MS, False, "interleaved")):
+        frames = []
+        for k in range(60):
+            frames.append((768, struct.pack("<h", k), 10 * MS * k))
+            frames.append((768, struct.pack("<h", k if same else 50 - k), 10 * MS * k + apart))
+        decoder = MappedDecoder(LinkStats(), NESTED, {"a": "A.S"}, Expected(100.0), recorded=True)
+        decoder.feed(CanFrames.build(frames), 0, final=True)
+        assert [(each.code, each.fatal) for each in decoder.findings] == [(code, True)]
+
+
+def test_a_device_at_another_rate_is_counted_at_its_own_and_told() -> None:
+    for hz in (97.66, 102.4, 200.0):
+        record = run([(768, struct.pack("<h", k), round(k * 1e9 / hz)) for k in range(400)], {"a": "A.S"})
+        assert record.infos[0].rate_hz == pytest.approx(hz, rel=1e-4)
+        assert not record.gaps
+        assert any(f"set acquisition.rate_hz = {hz:g}" in notice.text for notice in record.notices)
+
+
+def test_a_damaged_frame_leaves_its_gap_where_it_was() -> None:
+    """Bursts of four frames with the time of their end: only the damaged line says which one is missing."""
+    decoder = MappedDecoder(LinkStats(), NESTED, {"a": "A.S"}, Expected(100.0))
+    record, lost = Record(ramp=False), {53, 78, 104, 151}
+    for burst in range(100):
+        for k in range(4 * burst, 4 * burst + 4):
+            if k in lost:
+                decoder.cause("crc")
+            else:
+                record.take(decoder.feed(CanFrames.build([(768, struct.pack("<h", k), 40 * MS * (burst + 1))]), 0))
+    assert {(gap.index, gap.count, gap.reason) for gap in record.gaps} == {(k, 1, "crc") for k in lost}
+
+
+def test_what_came_is_said_when_no_sample_is_complete() -> None:
+    signals = {"x": "ACS.Lateral"}
+    for frames, text in (
+        ([], "holds no frame"), ([(0x123, b"12", 0)], "of 0x123, and none of ACS"),
+        ([(0x4FF0319 | EXTENDED_FLAG, bytes(8), 0)], "of 0x4FF0319, and none"),
+    ):  # fmt: skip
+        decoder = MappedDecoder(LinkStats(), DBC, signals, Expected(100.0))
+        decoder.feed(CanFrames.build(frames), 0, final=True)
+        assert text in decoder.nothing()
+    decoder = MappedDecoder(LinkStats(), NESTED, {"a": "A.S"})
+    decoder.feed(CanFrames.build([(768 | EXTENDED_FLAG, bytes(8), 0)]), 0, final=True)
+    assert "29-bit identifier" in decoder.nothing()
+    decoder = MappedDecoder(LinkStats(), DBC.replace(b" 3;", b" 1;"), signals)
+    decoder.feed(CanFrames.build([(0x08F02D0B | EXTENDED_FLAG, bytes(8), 0)]), 0, final=True)
+    assert "J1939" in decoder.nothing()

@@ -1,0 +1,125 @@
+"""candump's logs: as `candump -L` and `-l` write them, or as on the screen; with times, or differences of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator, Iterator
+from itertools import chain, islice
+from pathlib import Path
+
+from drivers.can.can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from drivers.contract.errors import LinkOpenError
+
+from .capture_batches import LATEST_NS, Batch, Collector, FrameTuple
+from .text_lines import bounded, open_text
+
+_LOG_LINE = re.compile(
+    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)"
+    r"(?:_[0-9A-Fa-f])?(?:\s+([RT]))?"
+)
+_SCREEN_LINE = re.compile(
+    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[\d+\]\s*"
+    r"((?:remote request|ERRORFRAME|[0-9A-Fa-f]{2}(?:\s+[0-9A-Fa-f]{2})*)?)(?:\s+'.*')?(?:\s+ERRORFRAME.*)?"
+)
+_SCREEN_LOOK = re.compile(r"(?:\([^)]*\)\s+)?\S+\s+(?:(?:RX|TX)\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+_LOOK_LINES = 200  # lines by which the kind of file is told
+_SHORTEST_FRAME_NS = 15_000  # on a bus: 47 bits at 5 Mbit/s, and the rest of a frame at 1 Mbit/s
+_LARGEST_STEP_NS = 3_600_000_000_000
+_BACK_SHARE = 0.15  # of the stamps that are smaller than the one before: times never go back so often
+
+
+def candump_batches(file: Path) -> Generator[Batch, None, None]:
+    """Raises LinkOpenError, at the first batch only, for a file of another kind."""
+    with open_text(file) as handle:
+        lines = bounded(handle)
+        first = list(islice(lines, _LOOK_LINES))
+        _refuse_other_kinds(file, first)
+        stamps = [t for line in first if (t := _stamp(line)) is not None]
+        differences = are_differences(stamps)
+        out = Collector()
+        if differences:
+            out.tell("delta_times", "its time stamps are differences (candump -td): added up")
+        yield from _read(chain(first, lines), out, differences)
+
+
+def _read(lines: Iterator[str], out: Collector, differences: bool) -> Generator[Batch, None, None]:
+    now_ns = 0
+    for number, line in enumerate(lines, 1):
+        text = line.strip()
+        match = _LOG_LINE.fullmatch(text)
+        found = _log_frame(match) if match else _screen_frame(text)
+        if found is None:
+            if text:
+                out.damage(
+                    f"line {number} has a wrong length or time" if match else f"line {number} is no candump line"
+                )
+        else:
+            (identifier, data, t_ns), bus, sent = found
+            if differences:
+                now_ns += t_ns
+                t_ns = now_ns
+            out.frame((identifier, data, t_ns), bus, sent)
+        if out.full:
+            yield out.take()
+    yield out.take()
+
+
+def _log_frame(match: re.Match[str]) -> tuple[FrameTuple, str, bool] | None:
+    digits = match[7].replace(".", "")
+    if len(digits) % 2 or len(digits) > 128:
+        return None
+    identifier = _identifier(match[4])
+    if match[5] is not None:
+        identifier |= REMOTE_FLAG
+        digits = ""
+    t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+    return None if t_ns > LATEST_NS else ((identifier, bytes.fromhex(digits), t_ns), match[3], match[8] == "T")
+
+
+def _screen_frame(text: str) -> tuple[FrameTuple, str, bool] | None:
+    match = _SCREEN_LINE.fullmatch(text)
+    if match is None:
+        return None
+    identifier, data = _identifier(match[5]), b""
+    if match[6].startswith("remote"):
+        identifier |= REMOTE_FLAG
+    elif match[6] != "ERRORFRAME":
+        data = bytes.fromhex("".join(match[6].split()))
+    t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+    return None if t_ns > LATEST_NS or len(data) > 64 else ((identifier, data, t_ns), match[3], match[4] == "TX")
+
+
+def _identifier(text: str) -> int:
+    number = int(text, 16)
+    if len(text) == 8:
+        return number & 0x1FFF_FFFF | (ERROR_FLAG if number & ERROR_FLAG else EXTENDED_FLAG)
+    return number
+
+
+def _stamp(line: str) -> int | None:
+    match = re.match(r"\s*\((\d+)\.(\d{1,9})\)", line)
+    return None if match is None else int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+
+
+def are_differences(stamps: list[int]) -> bool:
+    """Times go up; differences are small, go up and down, and come sooner one after the other than frames can."""
+    if len(stamps) < 4 or max(stamps) > _LARGEST_STEP_NS or stamps[0] > stamps[1]:
+        return False
+    back = sum(b < a for a, b in zip(stamps[1:-1], stamps[2:], strict=True))
+    return back > _BACK_SHARE * len(stamps) or stamps[-1] - stamps[1] < _SHORTEST_FRAME_NS * (len(stamps) - 2)
+
+
+def _refuse_other_kinds(file: Path, first: list[str]) -> None:
+    """Raise LinkOpenError for what is known to be no candump log, with what to do."""
+    text = [line.strip() for line in first if line.strip()]
+    if any(_LOG_LINE.fullmatch(line) or _SCREEN_LINE.fullmatch(line) for line in text):
+        return
+    where = f"capture:{file}"
+    if any("BUSMASTER" in line.upper() for line in text[:5]):
+        raise LinkOpenError(f"{where}: a BusMaster log, which cannot be read: convert it to .asc in BusMaster")
+    if any(_SCREEN_LOOK.match(line) for line in text):
+        raise LinkOpenError(f"{where}: candump as on the screen, without times in seconds: record with candump -L")
+    if any(line.startswith(";$FILEVERSION") for line in text):
+        raise LinkOpenError(f"{where}: a PCAN trace (.trc), which cannot be read: convert it to .asc or .blf")
+    if any(re.match(r"(date|base)\s", line) for line in text[:3]):
+        raise LinkOpenError(f"{where}: a Vector ASC file by its first lines: name it .asc")

@@ -1,0 +1,109 @@
+"""A DBC file as its makers write it: its text in any encoding, and the messages and signals that a map names.
+
+cantools reads the file. What it refuses, though the format allows it, is put right before: a byte order mark, bit
+timing in `BS_:`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+import logging
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.contract.errors import LinkError
+
+_BIT_TIMING = re.compile(r"^[ \t]*BS_[ \t]*:[^\r\n]*", re.MULTILINE)
+_QUOTED_QUOTE = re.compile(r'\\"')
+_HEX_NAME = re.compile(r"0x([0-9a-fA-F]{1,8})")
+_EXTENDED_BIT = 0x8000_0000
+_NO_VALUE = re.compile(
+    r"sna|n/?a|not\W*_*avail\w*|signal_not_available|invalid\w*|not_?\s?valid|err(or)?\w*|fault\w*|fail\w*|undef\w*"
+    r"|no_?\s?(value|data|signal)|unknown|init\w*|missing|reserved|(over|under)(flow|range)\w*|out_?\s?of_?\s?range",
+    re.IGNORECASE,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Database:
+    """messages : of cantools. j1939 : the whole file describes a J1939 bus."""
+
+    messages: tuple[Any, ...]
+    j1939: bool
+
+
+def dbc_text(data: bytes) -> str:
+    """The text: UTF-8 or UTF-16 by its mark, UTF-8 if it is that, else cp1252, in which most tools write."""
+    for mark, encoding in (
+        (codecs.BOM_UTF8, "utf-8"),
+        (codecs.BOM_UTF16_LE, "utf-16"),
+        (codecs.BOM_UTF16_BE, "utf-16"),
+    ):
+        if data.startswith(mark):
+            return data.decode(f"{encoding}-sig" if encoding == "utf-8" else encoding, "replace").lstrip("\ufeff")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace")
+
+
+def load_dbc(data: bytes) -> Database:
+    """Raises LinkError."""
+    import cantools
+
+    log = logging.getLogger("cantools")  # what it prints about names that are there twice is told with the channel
+    if not log.handlers:
+        log.addHandler(logging.NullHandler())
+    text = _BIT_TIMING.sub("BS_:", dbc_text(data))
+    text = _QUOTED_QUOTE.sub("''", text)
+    try:
+        database: Any = cantools.database.load_string(text, "dbc", strict=False)
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise LinkError(f"the DBC file cannot be read: {said}: check link.dbc") from error
+    attributes = getattr(database.dbc, "attributes", None) or {}
+    protocol = str(getattr(attributes.get("ProtocolType"), "value", ""))
+    return Database(tuple(database.messages), protocol.upper().startswith("J1939"))
+
+
+def find_signals(database: Database, channel: str, path: str) -> tuple[Any, list[Any]]:
+    """The message, and its signals of that name: one for each page that has it. Raises LinkError."""
+    where = f"signal map, {channel} = {path!r}"
+    name, _, signal_name = path.partition(".")
+    if not signal_name:
+        raise LinkError(f"{where}: write Message.Signal")
+    message = _message(database, name, signal_name, where)
+    signals = [each for each in message.signals if each.name == signal_name]
+    if not signals:
+        names = [each.name for each in message.signals]
+        raise LinkError(f"{where}: no signal {signal_name!r} in {message.name}{_near(signal_name, names)}")
+    return message, signals
+
+
+def _message(database: Database, name: str, signal_name: str, where: str) -> Any:
+    found = [each for each in database.messages if each.name == name]
+    number = _HEX_NAME.fullmatch(name)
+    if number and not found:
+        found = [each for each in database.messages if each.frame_id == int(number[1], 16) & ~_EXTENDED_BIT]
+        if not found:
+            raise LinkError(f"{where}: the DBC has no message of identifier {name}")
+    if not found:
+        raise LinkError(f"{where}: no message {name!r}{_near(name, [each.name for each in database.messages])}")
+    if len(found) > 1:
+        ids = [f'"0x{each.frame_id:X}.{signal_name}"' for each in found]
+        raise LinkError(f"{where}: the DBC has {len(found)} messages of the same name {name}: write {' or '.join(ids)}")
+    return found[0]
+
+
+def _near(name: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(name, known, 1)
+    return f"; did you mean {close[0]!r}?" if close else f"; it has {', '.join(known[:8])}"
+
+
+def no_value_codes(signal: Any) -> dict[int, str]:
+    """Raw values, as unsigned numbers, to which the value table gives a name that stands for no value."""
+    size = 1 << signal.length
+    named = {} if signal.is_float else (signal.choices or {})
+    return {int(raw) % size: str(text) for raw, text in named.items() if _NO_VALUE.fullmatch(str(text).strip())}

@@ -1,0 +1,86 @@
+"""Frames that stand out of order in a file, by their time stamps: neighbours are put in order.
+
+A clock that was set back is another thing: what follows goes on from there, and is left as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .capture_batches import Batch
+
+MOST_FRAMES = 16  # a frame out of its place is not further from it
+I64Array = NDArray[np.int64]
+
+
+class Reorder:
+    """Holds the last MOST_FRAMES frames, behind which one of them may belong."""
+
+    def __init__(self) -> None:
+        self.sorted = 0  # frames put into their place
+        self.told = False
+        self._held: Batch | None = None
+
+    def take(self, batch: Batch) -> Batch:
+        """The frames that have found their place."""
+        whole = batch if self._held is None else _joined(self._held, batch)
+        whole = self._in_order(whole)
+        front, self._held = whole.cut(max(0, len(whole.frames) - MOST_FRAMES))
+        return front
+
+    def rest(self) -> Batch | None:
+        held, self._held = self._held, None
+        return held
+
+    def _in_order(self, batch: Batch) -> Batch:
+        t_ns, ids = batch.frames.t_ns, batch.frames.ids
+        if len(t_ns) < 2 or not (np.diff(t_ns) < 0).any():
+            return batch
+        order = np.arange(len(t_ns))
+        late = t_ns < np.maximum.accumulate(t_ns)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], late, [False]])))
+        for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            if stop - start > MOST_FRAMES:
+                continue
+            least = t_ns[start:stop].min()
+            before = t_ns[max(0, start - MOST_FRAMES) : start]
+            first = start - len(before) + int(np.searchsorted(before, least, side="right")) if len(before) else start
+            if _better(t_ns, ids, first, stop):
+                order[first:stop] = first + np.argsort(t_ns[first:stop], kind="stable")
+                self.sorted += stop - start
+        return _ordered(batch, order)
+
+
+def _better(t_ns: I64Array, ids: NDArray[np.uint32], first: int, stop: int) -> bool:
+    """Whether the distances of equal frames are more even in the order of their stamps."""
+    around = slice(max(0, first - MOST_FRAMES), stop + MOST_FRAMES)
+    kinds, counts = np.unique(ids[around], return_counts=True)
+    most = t_ns[around][ids[around] == kinds[np.argmax(counts)]]
+    steps, ordered = np.diff(most), np.diff(np.sort(most))
+    if len(steps) < 3:
+        return True
+    middle = np.median(ordered)
+    return bool(np.abs(ordered - middle).sum() < np.abs(steps - middle).sum() and (ordered > 0.3 * middle).mean() > 0.8)
+
+
+def _ordered(batch: Batch, order: I64Array) -> Batch:
+    frames = batch.frames
+    return Batch(
+        frames=type(frames)(frames.ids[order], frames.lengths[order], frames.payload[order], frames.t_ns[order]),
+        buses=batch.buses[order], names=batch.names, sent=batch.sent[order], holes=batch.holes, why=batch.why,
+        said=batch.said,
+    )  # fmt: skip
+
+
+def _joined(a: Batch, b: Batch) -> Batch:
+    f, g = a.frames, b.frames
+    holes = np.concatenate([a.holes[:-1], [a.holes[-1] + b.holes[0]], b.holes[1:]])
+    return Batch(
+        frames=type(f)(
+            np.concatenate([f.ids, g.ids]), np.concatenate([f.lengths, g.lengths]),
+            np.concatenate([f.payload, g.payload]), np.concatenate([f.t_ns, g.t_ns]),
+        ),
+        buses=np.concatenate([a.buses, b.buses]), names=b.names, sent=np.concatenate([a.sent, b.sent]), holes=holes,
+        why=b.why, said=b.said,
+    )  # fmt: skip

@@ -1,0 +1,152 @@
+"""The sampling period of a device that sends no counter, from when its samples arrived.
+
+Arrivals are late by queues and bursts, some samples never come, and stamps may be coarse. The mean distance of
+arrivals is the period only if nothing is lost; a loss always makes distances longer. So the period is read from what
+most distances agree on: of neighbours where they are even, else over so many samples that bursts average out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_SAMPLES = 8
+MOST_SAMPLES = 16_384  # of a record that are looked at
+EVEN_REL = 0.35  # of a period: a distance so near a whole number of periods is even
+EVEN_SHARE = 0.9  # of the distances that are, where stamps are exact
+TWIN_SHARE = 0.02  # of distances near zero, which an exact stamp never has
+LONGEST_EVEN_STEPS = 8  # periods; an error of the first guess would pass for a part of a period in longer ones
+NOMINAL_REL = 2e-3  # of the rate: an oscillator is never so far off
+TWO_DIGITS_REL = 1e-3  # of the rate: a device's rate is a short number, and its clock is not exact
+SHARP_REL = 5e-4  # of a period: a quarter of what an oscillator may be off
+ODD_SAMPLES = 0.1  # a distance so far from a whole number of periods is no loss
+REGULAR_SAMPLES = 1.5  # by which the distance over many samples varies, if nothing is lost at random
+LEAST_REGULAR_SAMPLES, LEAST_LOSSES = 64, 8.0  # over so many samples or losses: at random, these vary by 7
+UNSEEN_SHARE = 0.1  # of the common divisor of all stamps, if they are whole periods
+WHOLE_SAMPLES = 1.25  # prompt arrivals lie within one sample, and a little jitter
+COARSE_REL = 0.2  # of a period: a resolution of stamps that is no longer fine
+
+F64Array = NDArray[np.float64]
+I64Array = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """ns : the sampling period. error_rel : how far it may be off. exact : each stamp places its own sample."""
+
+    ns: float
+    error_rel: float
+    exact: bool
+
+    @property
+    def rate_hz(self) -> float:
+        return 1e9 / self.ns
+
+
+def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period | None:
+    """The period behind these arrivals, in order; None of too few, or of stamps that do not go on.
+
+    nominal_ns : believed where stamps of a coarse resolution fit it and another period as well.
+    """
+    steps_ns = np.diff(t_ns[:MOST_SAMPLES])
+    if len(steps_ns) < LEAST_SAMPLES - 1 or not (steps_ns > 0).any():
+        return None
+    resolution_ns = float(np.gcd.reduce(steps_ns))
+    steps = steps_ns.astype(np.float64)
+    even = _even(steps, resolution_ns)
+    if even is None:
+        many = _over_many(_times(steps), resolution_ns)
+        return many if many is None or many.error_rel < SHARP_REL else _whole(_times(steps), many.ns) or many
+    ratio = steps / even.ns
+    if (np.abs(ratio - np.rint(ratio)) > ODD_SAMPLES).mean() > TWIN_SHARE:
+        # late frames, or pauses that come back, are not whole periods: the mean distance counts them in
+        return _regular(_times(steps), even.ns, REGULAR_SAMPLES * even.ns) or even
+    nominal = nominal_ns is not None and abs(even.ns / nominal_ns - 1.0) < NOMINAL_REL
+    if nominal or resolution_ns < COARSE_REL * even.ns or (np.rint(ratio) > 1).mean() < TWIN_SHARE / 4:
+        return even
+    # whole multiples of a coarse resolution: losses at random, or a period between two multiples, which is regular
+    return _regular(_times(steps), even.ns, 1.01 * resolution_ns) or even
+
+
+def _regular(t_ns: F64Array, period_ns: float, most_ns: float) -> Period | None:
+    """The distance over many samples, if it varies by no more than `most_ns`; losses at random would vary by more."""
+    n = len(t_ns)
+    lost = max(float((np.rint(np.diff(t_ns) / period_ns) - 1).clip(0).mean()), 1e-9)
+    width = int(min(max(LEAST_REGULAR_SAMPLES, LEAST_LOSSES / lost), n // 4))
+    steps = (t_ns[width:] - t_ns[:-width]) / width
+    low, high = np.quantile(steps, (0.1, 0.9)).tolist()
+    if (high - low) * width > most_ns:
+        return None
+    middle = float(steps[(steps >= low) & (steps <= high)].mean())
+    return Period(middle, max(high - low, 1e-6 * middle) / float(np.sqrt(n / width)) / middle, False)
+
+
+def _times(steps: F64Array) -> F64Array:
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _even(steps: F64Array, resolution_ns: float) -> Period | None:
+    """Stamps that lie on a lattice, apart from a few late ones; the period is that of the lattice."""
+    period = float(np.median(steps))
+    if period <= 0.0:
+        return None
+    for _ in range(3):
+        number = np.rint(steps / period)
+        near = np.abs(steps / period - number) < EVEN_REL
+        if near.mean() < EVEN_SHARE or (number < 1).mean() > TWIN_SHARE:
+            return None
+        good = near & (number >= 1) & (number <= LONGEST_EVEN_STEPS)
+        if not good.any():
+            return None
+        period = float(steps[good].sum() / number[good].sum())
+    rest = steps[good] - number[good] * period
+    error_ns = float(np.sqrt(2.0 * np.mean(rest**2) / good.sum()))
+    if not rest.any():  # as fine as the stamps are, no distance differs: their resolution is not seen
+        resolution_ns *= UNSEEN_SHARE
+    return Period(period, max(error_ns, resolution_ns / good.sum()) / period, True)
+
+
+def _over_many(t_ns: F64Array, resolution_ns: float) -> Period | None:
+    """The distance over so many samples that it varies least."""
+    n, best, least, scale = len(t_ns), None, np.inf, 0.0
+    for power in range(int(np.log2(max(n // 4, 1))), -1, -1):
+        width = 1 << power
+        steps = (t_ns[width:] - t_ns[:-width]) / width
+        low, middle, high = np.quantile(steps, (0.1, 0.5, 0.9)).tolist()
+        spread_ns = max(high - low, resolution_ns / width)
+        error_ns = spread_ns / float(np.sqrt(n / width))
+        scale = scale or middle
+        if 0.5 * scale <= middle <= 1.05 * scale and middle > 0.0 and error_ns < least:  # else shorter than a burst
+            most = steps[(steps >= low) & (steps <= high)]  # their mean, for the median of coarse stamps is coarse
+            best, least = Period(float(most.mean()), error_ns / middle, False), error_ns
+    return best
+
+
+def _whole(t_ns: F64Array, period_ns: float) -> Period | None:
+    """The slope of the arrivals by their number, if they are those of a device that counts on and lost nothing.
+
+    The last arrival of each burst is prompt: it comes within a sample of its time. Losses, which are a walk at random,
+    leave more between the arrivals and their line.
+    """
+    number = np.flatnonzero(np.append(np.diff(t_ns) > 0.5 * period_ns, False))
+    if len(number) < LEAST_SAMPLES:
+        return None
+    slope, start = np.polyfit(number, t_ns[number] / period_ns, 1)
+    rest = t_ns[number] / period_ns - slope * number - start
+    if np.ptp(rest) > WHOLE_SAMPLES or slope <= 0.0:
+        return None
+    return Period(period_ns * float(slope), 0.5 / (float(number[-1] - number[0]) * float(slope)), False)
+
+
+def round_rate(rate_hz: float, error_rel: float = 0.0) -> float:
+    """A rate within 0.1 % of a number of two digits is that number; else the shortest one within twice the error."""
+    nice = float(f"{rate_hz:.1e}")
+    if abs(nice - rate_hz) < TWO_DIGITS_REL * rate_hz:
+        return nice
+    for digits in range(3, 7):
+        nice = float(f"{rate_hz:.{digits - 1}e}")
+        if abs(nice - rate_hz) <= min(max(2.0 * error_rel, 1e-5), TWO_DIGITS_REL) * rate_hz:
+            break
+    return nice

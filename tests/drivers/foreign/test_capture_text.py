@@ -1,0 +1,189 @@
+"""candump and ASC files as recorders, shells and options of theirs write them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ramp_device import Record, read_all
+
+from drivers.contract.errors import LinkOpenError
+from drivers.contract.link_config import CaptureConfig
+from drivers.foreign.asc import when
+from drivers.foreign.candump import are_differences, candump_batches
+from drivers.links.links import make_driver, parse_link
+from drivers.protocol.device_info import Expected
+
+DBC = b"""VERSION ""
+NS_ :
+BS_:
+BU_: d
+BO_ 256 Acc_B: 2 d
+ SG_ X : 0|16@1- (1,0) [0|0] "m/s^2" d
+"""
+K = range(120)
+PLAIN = [f"(170000000{k // 100}.{10_000 * (k % 100):06d}) can0 100#{k:02X}00" for k in K]
+ASC = ["date Tue Nov 14 10:13:20.000 pm 2023", "base hex  timestamps absolute", "internal events logged"]
+
+
+def asc(t_s: float, k: int, bus: int = 1, direction: str = "Rx", name: str = "100") -> str:
+    return f"{t_s:.6f} {bus}  {name}             {direction}   d 2 {k:02X} 00"
+
+
+def read(path: Path, lines: Sequence[str] | bytes, bus: str | None = None) -> Record:
+    path.write_bytes(lines if isinstance(lines, bytes) else "\n".join(lines).encode())
+    driver = make_driver(
+        CaptureConfig(str(path), bus=bus), dbc=DBC, signals={"x": "Acc_B.X"}, expected=Expected(100.0)
+    )  # fmt: skip
+    driver.open()
+    record = read_all(driver, Record(ramp=False))
+    driver.close()
+    return record
+
+
+def samples(record: Record) -> np.ndarray:
+    out = np.full(record.next_index, -1)
+    for block in record.blocks:
+        out[block.index : block.index + len(block.counts)] = block.counts[:, 0]
+    return out
+
+
+SCREEN = [line.replace(" can0 100#", "  can0  100   [2]  ")[:-2] + " 00" for line in PLAIN]
+FORMS = {
+    "a raw length code": [line + "_9" for line in PLAIN], "with direction": [line + " R" for line in PLAIN],
+    "on the screen": [" " + line for line in SCREEN],
+    "on the screen with -x": [line.replace("can0  ", "can0  RX - -  ") for line in SCREEN],
+    "neighbours swapped": [PLAIN[k ^ 1] for k in K],
+    "differences": ["(000.000000) can0 100#0000", *(f"(000.010000) can0 100#{k:02X}00" for k in K[1:])],
+    "differences that vary": [f"(000.{0 if k == 0 else 10_000 + 30 * (-1) ** k:06d}) can0 100#{k:02X}00" for k in K],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_candump_in_other_forms(form: str, tmp_path: Path) -> None:
+    record = read(tmp_path / "a.log", FORMS[form])
+    assert samples(record).tolist() == list(K)
+    assert "capture_damaged" not in record.codes()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("suffix", [".log", ".asc"])
+def test_in_another_encoding(encoding: str, suffix: str, tmp_path: Path) -> None:
+    lines = PLAIN if suffix == ".log" else [*ASC, *(asc(0.01 * k, k) for k in K)]
+    record = read(tmp_path / f"a{suffix}", "\r\n".join(lines).encode(encoding))
+    assert samples(record).tolist() == list(K)
+    assert not record.notices
+
+
+def test_a_hole_in_differences_is_a_hole(tmp_path: Path) -> None:
+    lines = [f"(000.{0 if k == 0 else 510_000 if k == 60 else 10_000:06d}) can0 100#{k:02X}00" for k in K]
+    record = read(tmp_path / "a.log", lines)
+    assert [(gap.index, gap.count) for gap in record.gaps] == [(60, 50)]
+    assert "delta_times" in record.codes()
+
+
+@given(st.lists(st.integers(0, 10**9), min_size=1, max_size=40))
+def test_times_that_rise_are_no_differences(steps_us: list[int]) -> None:
+    """Unless frames come faster than a bus can carry them."""
+    stamps = np.cumsum(np.array(steps_us, np.int64) * 1000 + 20_000).tolist()
+    assert not are_differences(stamps)
+
+
+@pytest.mark.parametrize(
+    ("lines", "text"),
+    [
+        (["***BUSMASTER Ver 3.2.2***", "13:33:00:0000 Rx 1 0x100 s 4 18 FC"], "BusMaster"),
+        (["  can0  100   [2]  18 FC"] * 9, "candump -L"),
+        ([" (2023-11-14 10:13:20.000000)  can0  100   [2]  18 FC"] * 9, "candump -L"),
+        ([";$FILEVERSION=1.1"], "PCAN"), ([*ASC, asc(0, 0)], "name it .asc"),
+        (["junk"] * 9, "9 records cannot be read"),
+        ([], "holds no frame"),
+        ([line.replace("100#", "101#") for line in PLAIN], "of 0x101, and none of Acc_B"),
+    ],
+)  # fmt: skip
+def test_what_it_is_and_what_to_do_is_said(lines: list[str], text: str, tmp_path: Path) -> None:
+    with pytest.raises(LinkOpenError, match=text):
+        read(tmp_path / "a.log", lines)
+
+
+def test_two_buses_are_refused_and_one_is_read(tmp_path: Path) -> None:
+    both = [line for one in PLAIN for line in (one, one.replace("can0", "can1"))]
+    with pytest.raises(LinkOpenError, match=r"\?bus=can0 or \?bus=can1"):
+        read(tmp_path / "a.log", both)
+    assert samples(read(tmp_path / "a.log", both, "can1")).tolist() == list(K)
+    with pytest.raises(LinkOpenError, match="no bus 1 in it: it has can0, can1"):
+        read(tmp_path / "a.log", both, "1")
+    lines = [*ASC, *(asc(0.01 * k + 0.003 * bus, bus * k, bus) for k in K for bus in (1, 2))]
+    assert samples(read(tmp_path / "a.asc", lines, "1")).tolist() == list(K), "as the file counts them"
+
+
+def test_an_echo_is_taken_once(tmp_path: Path) -> None:
+    twice = [line for one in PLAIN for line in (one + " T", one.replace("0000) can0", "0200) can0") + " R")]
+    record = read(tmp_path / "a.log", twice)
+    assert samples(record).tolist() == list(K)
+    assert "own_echo" in record.codes()
+    requests = [*ASC, *(asc(0.01 * k + 2e-4 * j, k, direction=way) for k in K for j, way in enumerate(("TxRq", "Tx")))]
+    assert samples(read(tmp_path / "a.asc", requests)).tolist() == list(K)
+    other = [PLAIN[k // 2][:-4] + f"{k % 2:02X}{k:02X} " + "TR"[k % 2] for k in range(240)]
+    with pytest.raises(LinkOpenError, match="two senders"):
+        read(tmp_path / "a.log", other)
+
+
+def test_asc_with_names_commas_and_times_before_the_trigger(tmp_path: Path) -> None:
+    lines = [*ASC, *(asc(0.01 * k - 0.5, k, name="Acc_B").replace(".", ",", 1) for k in K)]
+    record = read(tmp_path / "a.asc", lines)
+    assert samples(record).tolist() == list(K)
+    assert not record.notices
+    record = read(tmp_path / "a.asc", [*lines, asc(1.0, 0, name="Other")])
+    assert record.codes() == {"symbolic_names"}
+
+
+def test_asc_relative_times_add_up_over_other_events(tmp_path: Path) -> None:
+    lines = [ASC[0], "base hex  timestamps relative", ASC[2], asc(0, 0)]
+    for k in K[1:]:
+        lines += [" 0.006000 1  Statistic: D 0 R 0", asc(0.004 + (0.5 if k == 60 else 0), k)]
+    assert [(gap.index, gap.count) for gap in read(tmp_path / "a.asc", lines).gaps] == [(60, 50)]
+
+
+@pytest.mark.parametrize(("date", "lost"), [("Tue Nov 14 10:13:30.000 pm 2023", 940), ("somewhen", 99)])
+def test_a_trigger_block_that_begins_anew_is_placed_by_its_date(date: str, lost: int, tmp_path: Path) -> None:
+    lines = [*ASC, f"Begin Triggerblock {ASC[0][5:]}", *(asc(0.01 * k, k) for k in K[:60]), "End TriggerBlock"]
+    lines += [f"Begin Triggerblock {date}", *(asc(0.01 * k, 60 + k) for k in range(60))]
+    record = read(tmp_path / "a.asc", lines)
+    assert record.samples == 120
+    assert sum(gap.count for gap in record.gaps) == lost
+    assert "trigger_blocks" in record.codes()
+
+
+def test_dates_of_an_asc() -> None:
+    late = when("Nov 14 10:13:20.000 pm 2023")
+    assert late == when("Nov 14 22:13:20.000 2023") == when("Nov. 14 22:13:20 2023")
+    assert late is not None
+    assert when("Dez 14 22:13:20.5 2023") == pytest.approx(late + 30 * 86_400 + 0.5, abs=3601)
+    assert when("nonsense") is None
+
+
+def test_a_name_with_a_question_mark_is_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "what?.log"
+    path.write_text("\n".join(PLAIN))
+    assert parse_link(f"capture:{path}") == CaptureConfig(str(path))
+    assert parse_link(f"capture:{path}?bus=can0") == CaptureConfig(str(path), bus="can0")
+    assert parse_link("capture:gone.log?bus=1") == CaptureConfig("gone.log", bus="1")
+
+
+def test_batches_hold_where_damage_was(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_text("\n".join([*PLAIN[:5], "junk", "junk", *PLAIN[5:9], "junk"]))
+    (batch,) = candump_batches(path)
+    assert np.flatnonzero(batch.holes).tolist() == [5, 9]
+    assert batch.holes[[5, 9]].tolist() == [2, 1]
+    even = np.arange(9) % 2 == 0
+    assert batch.pick(even).holes.tolist() == [0, 0, 0, 2, 0, 1]
+    front, back = batch.cut(5)
+    assert (front.holes.sum(), back.holes.tolist()) == (0, [2, 0, 0, 0, 1])
+    assert struct.unpack("<h", back.frames.payload[0, :2].tobytes()) == (5,)

@@ -1,0 +1,144 @@
+"""The index of samples that carry no counter, from when they came."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.protocol.period import estimate_period, round_rate
+from drivers.protocol.time_axis import TimeAxis
+
+MS = 1_000_000
+
+
+def place(times_ms: object, rate_hz: float | None, batch: int = 7, hints: dict[int, int] | None = None) -> list[int]:
+    axis = TimeAxis(rate_hz)
+    t_ns = np.rint(np.asarray(times_ms) * 1e6).astype(np.int64)
+    damaged = np.zeros(len(t_ns), np.int64)
+    for k, number in (hints or {}).items():
+        damaged[k] = number
+    out = [axis.place(t_ns[k : k + batch], hints=damaged[k : k + batch]).index for k in range(0, len(t_ns), batch)]
+    return [*np.concatenate([*out, axis.place(np.empty(0, np.int64), final=True).index]).tolist()]
+
+
+@pytest.mark.parametrize("batch", [1, 7, 4096])
+@pytest.mark.parametrize("hz", [97.66, 99.4, 100.0, 100.02, 102.4, 200.0])
+def test_another_rate_is_no_loss(hz: float, batch: int) -> None:
+    """A device 0.6 % off had a false loss every 160 samples, and one at 102.4 Hz was stretched."""
+    assert place(np.arange(1000) * 1e3 / hz, 100.0, batch) == list(range(1000))
+
+
+@pytest.mark.parametrize("hz", [994.0, 1000.0, 1006.0])
+def test_another_rate_in_bursts_is_no_loss(hz: float) -> None:
+    assert place(np.ceil(np.arange(6000) / hz / 0.016) * 16.0, 1000.0, 4096) == list(range(6000))
+
+
+def test_late_and_bunched_samples_are_not_missing() -> None:
+    """50 ms late, then all at once: nothing is lost."""
+    times = [10.0 * k + (50 - 10 * (k - 60) if 60 <= k < 65 else 0) for k in range(200)]
+    assert place(times, 100.0) == list(range(200))
+
+
+def test_missing_samples_are_missing() -> None:
+    kept = [k for k in range(400) if not 100 <= k < 107 and k != 250]
+    assert place([10.0 * k for k in kept], 100.0) == kept
+    assert place([10.0 * k for k in kept], None) == kept
+
+
+def test_missing_amid_bursts() -> None:
+    kept = [k for k in range(900) if not 300 <= k < 340]
+    assert place([np.ceil(k / 16) * 16 for k in kept], 1000.0, 16) == kept
+
+
+@pytest.mark.parametrize("batch", [4, 4096])
+def test_losses_in_bursts_are_counted_and_said_to_be_unsure(batch: int) -> None:
+    """Bursts of 4 ms at 1 kHz, one frame of 97 lost: none closed up, each misplaced by a burst at most."""
+    kept = np.delete(np.arange(4000), np.arange(50, 4000, 97))
+    axis, t_ns = TimeAxis(1000.0), (np.ceil((kept + 1) / 4) * 4 * MS).astype(np.int64) + 1000 * (kept % 17)
+    parts = [axis.place(t_ns[k : k + batch]) for k in range(0, len(t_ns), batch)]
+    parts.append(axis.place(np.empty(0, np.int64), final=True))
+    off = np.concatenate([part.index for part in parts]) - kept
+    assert off[-1] == off[0] == 0
+    assert np.abs(off).max() < 4
+    assert sum(part.unsure for part in parts) > 30
+    assert 1 <= max(part.within for part in parts) < 4
+
+
+def test_a_loss_in_a_burst_is_placed_where_a_frame_was_damaged() -> None:
+    kept = np.delete(np.arange(2000), np.random.default_rng(3).permutation(np.arange(50, 1900, 23))[:20])
+    at = dict.fromkeys(np.flatnonzero(np.diff(kept, prepend=-1) > 1).tolist(), 1)
+    assert place(np.ceil((kept + 1) / 4) * 4.0, 1000.0, 4, at) == kept.tolist()
+
+
+@pytest.mark.parametrize("ppm", [300, -300])
+@pytest.mark.parametrize("batch", [50, 4096])
+def test_a_clock_300_ppm_off_is_followed(ppm: int, batch: int) -> None:
+    assert place(np.arange(20_000) * 10.0 * (1 + ppm * 1e-6), 100.0, batch) == list(range(20_000))
+
+
+def test_a_rate_that_drifts_away_is_followed_and_told() -> None:
+    axis = TimeAxis(100.0)
+    t_ns = (np.cumsum(np.linspace(10.0, 10.04, 20_000)) * MS).astype(np.int64)
+    index = np.concatenate([axis.place(t_ns[k : k + 1000]).index for k in range(0, 20_000, 1000)])
+    assert index.tolist() == list(range(20_000))
+    assert axis.drifted() == pytest.approx(99.65, abs=0.1)
+
+
+def test_certain_samples_are_not_held() -> None:
+    axis = TimeAxis(100.0)
+    t_ns = np.arange(300) * 10 * MS
+    axis.place(t_ns[:102])
+    for k in range(102, 300):
+        assert len(axis.place(t_ns[k : k + 1]).index) == 1
+    assert axis.held == 0
+
+
+def test_a_leap_over_days_is_a_gap_of_a_second_and_told() -> None:
+    axis = TimeAxis(100.0)
+    t_ns = np.arange(400) * 10 * MS
+    t_ns[200:] += 3 * 86_400_000 * MS
+    index = axis.place(t_ns, final=True).index
+    assert axis.leapt == 1
+    assert index[-1] == pytest.approx(498, abs=1)
+
+
+@given(st.lists(st.integers(-(2**62), 2**62), max_size=40), st.integers(1, 9), st.sampled_from([None, 100.0, 1e6]))
+def test_indices_always_rise(times: list[int], batch: int, rate_hz: float | None) -> None:
+    axis, t_ns = TimeAxis(rate_hz), np.array(times, np.int64)
+    parts = [axis.place(t_ns[k : k + batch]).index for k in range(0, len(t_ns), batch)]
+    got = np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+    assert len(got) in (0, len(times))
+    assert (np.diff(got) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "hz", "times_s"),
+    [
+        ("exact", 102.4, np.arange(600) / 102.4), ("stamps of 1 ms", 333.0, np.floor(np.arange(600) / 0.333) / 1e3),
+        ("finer than stamps of 1 ms", 700.0, np.floor(np.arange(600) / 0.7) / 1e3),
+        ("several to a stamp", 2000.0, np.floor(np.arange(600) / 2.0) / 1e3),
+        ("polls of 16 ms", 100.0, np.ceil(np.arange(600) / 1.6) * 0.016),
+        ("polls of 16 ms", 1006.0, np.ceil(np.arange(4000) / 1006 / 0.016) * 0.016),
+        ("a hole", 100.0, np.delete(np.arange(300), np.arange(120, 170)) / 100.0),
+    ],
+)  # fmt: skip
+def test_the_period_is_what_most_distances_agree_on(name: str, hz: float, times_s: np.ndarray) -> None:
+    found = estimate_period(np.rint(times_s * 1e9).astype(np.int64))
+    assert found is not None
+    assert found.rate_hz == pytest.approx(hz, rel=max(2 * found.error_rel, 1e-5)), name
+    assert found.error_rel < 0.01
+
+
+def test_the_period_with_losses_at_random() -> None:
+    rng = np.random.default_rng(1)
+    for share in (0.05, 0.3):
+        t_ns = np.flatnonzero(rng.random(600) > share) * 10 * MS + rng.integers(0, MS // 10, 600)[0]
+        found = estimate_period(t_ns)
+        assert found is not None
+        assert found.rate_hz == pytest.approx(100.0, rel=1e-6)
+
+
+def test_a_rate_is_a_short_number() -> None:
+    assert [round_rate(hz, 1e-6) for hz in (100.02, 97.66, 333.001, 102.4)] == [100.0, 97.66, 333.0, 102.4]
