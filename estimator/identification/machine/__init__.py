@@ -1,6 +1,6 @@
 """Tones, harmonics, impact trains and parametric stiffness of a machine."""
 
 from .machine_survey import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
-from .survey import survey_machine
+from .survey import strikes_of_block, survey_machine
 
-__all__ = ["MachineSurvey", "ShaftSpeed", "StrikeTrain", "Tone", "survey_machine"]
+__all__ = ["MachineSurvey", "ShaftSpeed", "StrikeTrain", "Tone", "strikes_of_block", "survey_machine"]

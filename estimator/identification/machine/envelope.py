@@ -61,12 +61,17 @@ class EnvelopeSpectrum:
     random: Array
 
 
-def envelope_spectra(pieces: Pieces, highest_hz: float) -> list[EnvelopeSpectrum]:
-    """Spectra of the squared envelope up to a frequency in every band of the bank. pieces : of one channel."""
+def envelope_spectra(
+    pieces: Pieces, highest_hz: float, bank: tuple[int, ...] = BANDS_PER_RATE
+) -> list[EnvelopeSpectrum]:  # fmt: skip
+    """Spectra of the squared envelope up to a frequency in every band of a bank.
+
+    pieces : of one channel. bank : numbers of equal bands that share the range up to half the rate.
+    """
     if not len(pieces):
         return []
     gain = _whitening(pieces)
-    edges = list(_bank(pieces, highest_hz))
+    edges = list(_bands(pieces, highest_hz, bank))
     sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
     for group in pieces.groups():
         X = (rfft(group, axis=1) * gain).astype(np.complex64)
@@ -84,10 +89,10 @@ def envelope_spectra(pieces: Pieces, highest_hz: float) -> list[EnvelopeSpectrum
     ]
 
 
-def _bank(pieces: Pieces, highest_hz: float) -> Iterator[tuple[int, int]]:
+def _bands(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> Iterator[tuple[int, int]]:
     """First bin and bin after the last of each band; a narrower band would smear the strikes of a fast train."""
     top = int(TOP_OF_NYQUIST * 0.5 * pieces.size)
-    for parts in BANDS_PER_RATE:
+    for parts in bank:
         edges = np.linspace(1, top, parts + 1).astype(int)
         if parts == 1 or edges[1] - edges[0] >= MIN_BAND_OVER_HIGHEST * highest_hz * pieces.seconds:
             yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)

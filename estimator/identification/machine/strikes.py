@@ -33,7 +33,7 @@ from .combs import (
     line_tables,
     refined_fundamental,
 )
-from .envelope import MAX_PIECE_S, envelope_spectra
+from .envelope import BANDS_PER_RATE, MAX_PIECE_S, envelope_spectra
 from .machine_survey import ShaftSpeed, StrikeName, StrikeTrain
 from .pieces import Pieces
 from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
@@ -90,11 +90,16 @@ def kinematics_of(model: Model) -> list[Kinematic]:
 
 
 def find_strikes(
-    model: Model, y: Array, rate_hz: float, columns: Mapping[str, int], speed: ShaftSpeed | None
+    model: Model,
+    y: Array,
+    rate_hz: float,
+    columns: Mapping[str, int],
+    speed: ShaftSpeed | None,
+    bank: tuple[int, ...] = BANDS_PER_RATE,
 ) -> tuple[list[StrikeTrain], list[Message]]:
     """Strike trains in some channels, clearest first, and remarks.
 
-    y : (n, channels) SI, NaN where missing. columns : channel -> its column.
+    y : (n, channels) SI, NaN where missing. columns : channel -> its column. bank : of the envelope spectra.
     """
     if speed is None:
         text = "strike trains are not looked for: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
@@ -103,7 +108,7 @@ def find_strikes(
     avoided, avoided_sd = _avoided(speed)
     for name, i in columns.items():
         pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz, MAX_PIECE_S)
-        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz):
+        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, bank):
             tables += line_tables(name, spectrum, avoided, avoided_sd)
     log_tables = float(np.log(max(len(tables), 1)))
     limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))

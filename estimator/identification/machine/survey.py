@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from estimator.arrays import Array
@@ -9,14 +11,15 @@ from estimator.identification.record import RecordSurvey
 from estimator.model.rig import MOTION, Model
 from estimator.results import Message
 
-from .machine_survey import MachineSurvey, Tone
+from .machine_survey import MachineSurvey, StrikeTrain, Tone
 from .pieces import Pieces
-from .spectra import level_spectra
+from .spectra import LevelSpectrum, level_spectra
 from .speed import shaft_speed
 from .strikes import find_strikes
 from .tones import significant_lines, tones_of, without_strike_lines
 
 MAX_TONES_SHOWN = 10
+LIVE_BANDS_PER_RATE = (1, 2, 4, 8)  # half the cost of the bank for a record
 FORCE_UNIT = "N"
 MORE_TONES = "more_tones"  # tones beyond those shown
 NO_PIECES = "no_gap_free_piece"  # a channel has no run of samples that is long enough
@@ -42,25 +45,61 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
     MachineSurvey
         Empty where no channel has a gap-free run of 256 samples.
     """
-    units = {c.name: MOTION.get(c.kind, FORCE_UNIT) for c in model.channels if c.kind != "tacho"}
-    skipped = record.unusable if record is not None else frozenset()
-    columns = {c.name: i for i, c in enumerate(model.channels) if c.name in units and c.name not in skipped}
-    spectra, rms, messages = {}, {}, []
-    for name, i in columns.items():
-        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
-        if not len(pieces):
-            messages.append(Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name))
-            continue
-        spectra[name] = level_spectra(pieces)
-        rms[name] = float(np.nanstd(y[:, i]))
+    columns = _columns(model, record.unusable if record is not None else frozenset())
+    spectra, missing = _spectra(y, rate_hz, columns)
+    rms = {name: float(np.nanstd(y[:, columns[name]])) for name in spectra}
+    units = {c.name: MOTION.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
     lines = without_strike_lines(significant_lines(spectra), strikes, speed)
     tones = tones_of(lines, speed, units, rms)
     shown, more = _shown(tones)
     return MachineSurvey(
-        speed=speed, tones=shown, strikes=tuple(strikes), messages=(*messages, *remarks, *struck, *more)
+        speed=speed, tones=shown, strikes=tuple(strikes), messages=(*missing, *remarks, *struck, *more)
     )
+
+
+def strikes_of_block(model: Model, block: Array, rate_hz: float) -> tuple[StrikeTrain, ...]:
+    """Strike trains in the last 10 to 20 s of a stream, in a coarser bank of bands than a record is searched in.
+
+    Parameters
+    ----------
+    model : Model
+        The rig.
+    block : (n, channels) float64
+        The last rows in SI units; NaN where a sample is missing.
+    rate_hz : float
+        Rows per second.
+
+    Returns
+    -------
+    tuple of StrikeTrain
+        Empty where no channel has a train, or the speed of the shaft is unknown.
+    """
+    columns = _columns(model, frozenset())
+    spectra, _ = _spectra(block, rate_hz, columns)
+    speed = shaft_speed(model, block, rate_hz, spectra)[0] if spectra else None
+    there = {name: columns[name] for name in spectra}
+    return tuple(find_strikes(model, block, rate_hz, there, speed, LIVE_BANDS_PER_RATE)[0])
+
+
+def _columns(model: Model, skipped: frozenset[str]) -> dict[str, int]:
+    """Channel -> its column, of all channels but tachos and those to be skipped."""
+    return {c.name: i for i, c in enumerate(model.channels) if c.kind != "tacho" and c.name not in skipped}
+
+
+def _spectra(
+    y: Array, rate_hz: float, columns: Mapping[str, int]
+) -> tuple[dict[str, list[LevelSpectrum]], list[Message]]:
+    """Channel -> its spectra, and remarks on the channels that have none."""
+    out, missing = {}, []
+    for name, i in columns.items():
+        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
+        if len(pieces):
+            out[name] = level_spectra(pieces)
+        else:
+            missing.append(Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name))
+    return out, missing
 
 
 def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:
