@@ -66,9 +66,11 @@ def contiguous_bands(f_hz: Array) -> list[tuple[float, float]]:
 def shift_past_modes(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> float:
     """rad/s from the axis to the line right of the modes of the band; 0 where no mode is near the axis.
 
+    A mode where bins are left out is not summed, so the line need not pass it.
+
     modes : (modes,) rad/s. margin_hz : least distance of each mode from the line. band : rad/s, its stretches.
     """
-    inside = (modes.imag > band[0][0]) & (modes.imag < band[-1][1])
+    inside = np.any([(modes.imag > low) & (modes.imag < high) for low, high in band], axis=0)
     return max(float((modes.real + 2 * np.pi * margin_hz)[inside].max(initial=0.0)), 0.0)
 
 
