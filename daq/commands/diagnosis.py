@@ -12,7 +12,7 @@ from rich.text import Text
 
 from estimator.effects import CATALOGUE
 from estimator.errors import DataError
-from estimator.results import NOT_JUDGED
+from estimator.results import NOT_JUDGED, RIG_FILE
 
 if TYPE_CHECKING:
     from estimator.diagnosis.verdict import Improvement
@@ -49,6 +49,9 @@ def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun
         _write_pages(output, pages, rig, data, value)
     units = dict(zip((c.name for c in rig.model.channels), rig.si_units, strict=True))
     people = [*layers_text(value, units), *diagnosis_text(value), *pages.said()]
+    for row in value["ranking"]:
+        for said in row.get("gates", ()):
+            output.detail(f"{row['effect']}: {said}")
     output.result(value | origin(log, rig_path, rig, data), *people)
 
 
@@ -84,7 +87,7 @@ def layers_text(value: Mapping[str, Any], units: Mapping[str, str]) -> list[Any]
 def with_verdict(rig: Rig, diagnosis: Mapping[str, Any]) -> Rig | None:
     """The rig with the effect that a diagnosis names, as found; None if it names none."""
     row = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
-    if row is None:
+    if row is None or diagnosis["verdict"] == RIG_FILE:
         return None
     values: dict[str, dict[str, dict[str, float]]] = {}  # by effect (of several lines each is one), by place
     for full, p in row["parameters"].items():
@@ -137,7 +140,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         "complete": "the model is complete: nothing in the catalogue earns its place",
         "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
     }.get(name, f"{'missing' if is_of_the_model(value) else 'found in the signal'}: {name}; {known}")
-    return [*people, f"verdict: {name}", _not_judged(value) or verdict]
+    return [*people, f"verdict: {name}", _not_judged(value) or message_text(value, {RIG_FILE}) or verdict]
 
 
 def _not_judged(value: Mapping[str, Any]) -> str:
@@ -184,7 +187,7 @@ def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
-    if text := message_text(last, {NOT_JUDGED}):
+    if text := message_text(last, {NOT_JUDGED, RIG_FILE}):
         return text
     if verdict == "unknown":
         laid = message_text(last, NO_LAW_CODES)

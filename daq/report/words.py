@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from estimator.results import NOT_JUDGED
+from estimator.results import NOT_JUDGED, RIG_FILE
 
 from .numbers import number, odds, parameter, percent
 
@@ -80,6 +80,8 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     verdict, rows = diagnosis["verdict"], diagnosis["ranking"]
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
+    if text := message_text(diagnosis, {RIG_FILE}):
+        return [f"Diagnosis: a mistake in the rig file. {text[0].upper()}{text[1:]}."]
     if verdict == "unknown":
         from estimator.diagnosis.verdict import NO_LAW_CODES
 

@@ -2,5 +2,6 @@
 
 from .comparison import Comparison, compare
 from .heldout import heldout_nll
+from .survey import BearingSurvey, survey_bearing
 
-__all__ = ["Comparison", "compare", "heldout_nll"]
+__all__ = ["BearingSurvey", "Comparison", "compare", "heldout_nll", "survey_bearing"]

@@ -10,9 +10,7 @@ from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record import survey_record, usable_record
 from estimator.identification.residual import missing_force
-from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_model
-from estimator.likelihood.path.working_point import point_on_part
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
@@ -21,6 +19,7 @@ from .curves import Law, curves
 from .failure_map import FailureRegion, failure_regions
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .shape import Shape
+from .survey import survey_bearing
 from .twin import twin
 
 Progress = Callable[[float, str], None]
@@ -122,11 +121,11 @@ def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Compar
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
-    part = point_on_part(point, missing_force.SURVEY_S)
-    found, _, rmse, beside, nll = missing_force.survey_with(
-        part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
+    survey, rmse, beside, nll = survey_bearing(
+        model, point, y, lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
+    found = survey.missing
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
@@ -143,7 +142,7 @@ def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Compar
         psd_distance_db=beside.psd_distance_db,
         pdf_distance=beside.pdf_distance,
         where=where,
-        adequate=not found.any_found(),
+        adequate=survey.adequate,
         curves=drawn,
         laws=laws,
         spectra=beside.spectra,

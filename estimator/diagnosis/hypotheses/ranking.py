@@ -27,6 +27,35 @@ from .trial import Trial
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateResult:
+    """What a gate says of a candidate.
+
+    Parameters
+    ----------
+    gate : str
+        Name of the gate.
+    passed : bool
+        Whether the candidate may be named, as far as this gate goes.
+    measured, limit : float or None
+        The number that was compared, and with what; None where the gate does not concern the candidate.
+    text : str
+        What the number is, with its unit, for the user.
+    """
+
+    gate: str
+    passed: bool
+    measured: float | None = None
+    limit: float | None = None
+    text: str = ""
+
+    def __str__(self) -> str:
+        if self.measured is None:
+            return f"{self.gate}: does not apply"
+        said = "passed" if self.passed else "refused"
+        return f"{self.gate}: {self.text} {self.measured:.3g}, limit {self.limit:.3g}: {said}"
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """A candidate effect with its evidence.
@@ -38,7 +67,8 @@ class Entry:
     force effect. detectable : smallest amplitude that would be claimed in this record, and its unit; None if unknown.
     settings : parameters of an effect that is no force law, by its name in a model. notes : for the user.
     amplitude_gain : nats on the largest amplitudes by parameters fitted to the smaller ones; None if not judged.
-    by_node : gain and heldout_gain of a law at each node, nats.
+    by_node : gain and heldout_gain of a law at each node, nats. folds : nats gained on each held-out time fold; empty
+    where they are not known. gates : those that were asked, in order; only the last one may have refused.
     """
 
     effect: str
@@ -57,6 +87,23 @@ class Entry:
     notes: tuple[Message, ...] = ()
     amplitude_gain: float | None = None
     by_node: dict[str, tuple[float, float]] = field(default_factory=dict)
+    folds: tuple[float, ...] = ()
+    gates: tuple[GateResult, ...] = ()
+
+    @property
+    def heldout_gain_sd(self) -> float | None:
+        """Standard error of the held-out gain, nats, by the scatter of the folds; None where they are not known."""
+        return float(np.std(self.folds, ddof=1) * np.sqrt(len(self.folds))) if len(self.folds) > 1 else None
+
+    @property
+    def passed(self) -> bool:
+        """Whether every gate was asked and passed."""
+        return bool(self.gates) and self.gates[-1].passed
+
+    @property
+    def force_explained_percent(self) -> float:
+        """rms of what it explains of the missing force there, per cent of the bearing force."""
+        return float(np.sqrt(max(self.before_percent**2 - self.after_percent**2, 0.0)))
 
     @property
     def law(self) -> Effect | None:
@@ -82,6 +129,11 @@ class Entry:
             out["detectable_from"] = {"value": self.detectable[0], "unit": self.detectable[1]}
         if self.amplitude_gain is not None:
             out["heldout_amplitude_gain"] = self.amplitude_gain
+        if (sd := self.heldout_gain_sd) is not None:
+            out["heldout_gain_sd"] = sd
+            out["folds_gained"] = sum(gain > 0.0 for gain in self.folds)
+        if self.gates:
+            out["gates"] = [str(gate) for gate in self.gates]
         return out | ({"notes": [note.text for note in self.notes]} if self.notes else {})
 
 
@@ -99,7 +151,14 @@ def ranked_entries(
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN_EFFECT):
         out.append(_finding_entry(model, point, [s for s in others if s.effect == name], before))
-    return sorted(behind_impact_train(out, model.band[0]), key=lambda e: -e.score)
+    return in_order(behind_impact_train(out, model.band[0]))
+
+
+def in_order(found: Sequence[Entry]) -> list[Entry]:
+    """Candidates that explain about as much of the missing force as any, by nats; behind them the others, by nats."""
+    sure = [e.force_explained_percent for e in found if e.p_value <= THRESHOLDS.max_p_value]
+    least = THRESHOLDS.same_force_min_rel * max(sure, default=0.0)
+    return sorted(found, key=lambda e: (e.force_explained_percent < least, -e.score))
 
 
 def behind_impact_train(found: list[Entry], low_hz: float) -> list[Entry]:
@@ -130,7 +189,8 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
     used = [t for n in at for t in nodes[n]]
     gain = _gain(used)
     df = sum(t.df for t in used)
-    heldout = float(sum(t.heldout.sum() for t in used))
+    folds = np.sum([t.heldout for t in used], axis=0)
+    heldout = float(folds.sum())
     p = min(1.0, min(odds[n] for n in at) * tried)
     places = tuple(sorted({i for t in used for i in t.placed.at}))
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
@@ -152,6 +212,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
         detectable=_detectable(used),
         notes=_part_note(point, used),
         by_node={n: (_gain(nodes[n]), float(sum(t.heldout.sum() for t in nodes[n]))) for n in at},
+        folds=tuple(folds.tolist()),
     )
 
 
@@ -295,15 +356,13 @@ def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
 
 
 def separation_text(ranking: Sequence[Entry]) -> str:
-    """What tells the first from the runner-up, for a person."""
+    """What tells the first from the runner-up, for a person. "A or B" where the record does not."""
     if len(ranking) < 2:
         return ""
     first, second = ranking[0], ranking[1]
     ahead = first.gain - second.gain
-    text = f"{first.effect} is {ahead:.0f} nats ahead of {second.effect}"
     effect = CATALOGUE.get(first.effect)
-    if effect is not None and second.effect in effect.confused_with:
-        text += f"; {effect.distinguish}"
-    if ahead < 5.0:
-        text += "; the record hardly separates these two"
-    return text
+    apart = f"; {effect.distinguish}" if effect is not None and second.effect in effect.confused_with else ""
+    if second.passed and ahead < THRESHOLDS.rival_nats:
+        return f"{first.effect} or {second.effect}: the record hardly separates these two ({ahead:.0f} nats){apart}"
+    return f"{first.effect} is {ahead:.0f} nats ahead of {second.effect}{apart}"

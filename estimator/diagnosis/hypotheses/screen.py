@@ -6,20 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from estimator.arrays import Array
-from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.identification.finding import Finding
-from estimator.identification.residual import missing_force
-from estimator.identification.residual.missing_force import MissingForce
-from estimator.identification.search import search
+from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.likelihood.motion.law_smoothing import compile_law
 from estimator.likelihood.motion.located_law import searched_parameters, trial_effects
-from estimator.likelihood.path.working_point import WorkingPoint, point_on_part, search_point
+from estimator.likelihood.path.working_point import WorkingPoint, search_point
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.results import Message
 
-from . import gate_amplitude, ranking
+from . import ranking
 from .ranking import Entry
 from .trial import (
     Trial,
@@ -35,7 +29,6 @@ from .trial import (
 
 Progress = Callable[[float, str], None]
 SEARCH_SECONDS = 6.0  # of the record, for searched parameters
-MAX_RANK_JUDGED = 3  # of the ranking: the first so many are judged on the largest amplitudes
 MAX_REFINED_TRIALS = 12
 REFINED_MIN_GAIN_REL = 0.3  # of the best gain at a bearing: an effect that reaches it is refined everywhere
 BORROWED_MIN_GAIN_REL = 0.2  # of the best effect's gain: below it no searched parameters are borrowed
@@ -45,24 +38,19 @@ BORROWED_MIN_GAIN_REL = 0.2  # of the best effect's gain: below it no searched p
 class Ranking:
     """A ranking of causes.
 
-    part : the part of the record that trials are judged on first. before : the missing force there. suspects : findings
-    that are no law of a state. trials : every law at every location. entries : by effect, the likeliest first.
+    survey : of the model. trials : every law at every location. entries : by effect, the likeliest first.
     """
 
-    part: WorkingPoint
-    before: MissingForce
-    suspects: list[Finding]
+    survey: BearingSurvey
     trials: list[Trial]
     entries: list[Entry]
 
 
-def rank_on_part(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Ranking:
-    """The missing force and the ranking of its causes, from part of the record."""
-    say(0.15, "what can still be predicted")
-    part = point_on_part(point, missing_force.SURVEY_S)
-    before, others = missing_force.survey_with(part, model, lambda: search(model, point, y))
-    trials = _trials(model, part, say)
-    return Ranking(part, before, others, trials, ranking.ranked_entries(model, point, trials, before, others))
+def rank_on_part(model: Model, survey: BearingSurvey, say: Progress) -> Ranking:
+    """The ranking of the causes of what a survey found, from the part of the record that was surveyed."""
+    trials = _trials(model, survey.part, say)
+    entries = ranking.ranked_entries(model, survey.part, trials, survey.missing, survey.findings)
+    return Ranking(survey, trials, entries)
 
 
 def rank_on_record(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -> Ranking:
@@ -76,31 +64,8 @@ def rank_on_record(model: Model, point: WorkingPoint, found: Ranking, say: Progr
     worth = zip(are_contenders(found.trials), _with_promise(model, found.trials), strict=True)
     asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
     trials = map_processes(asked, [t.effect for t in found.trials])
-    entries = ranking.ranked_entries(model, point, trials, found.before, found.suspects)
+    entries = ranking.ranked_entries(model, point, trials, found.survey.missing, found.survey.findings)
     return replace(found, trials=trials, entries=entries)
-
-
-def amplitude_checked(found: Ranking) -> list[Entry]:
-    """The ranking with a law in front that passes the gate of the largest amplitudes; refused laws go to the end."""
-    passed: list[Entry] = []
-    refused: list[Entry] = []
-    for number, entry in enumerate(found.entries):
-        asked = (
-            not passed
-            and number < MAX_RANK_JUDGED
-            and entry.p_value < THRESHOLDS.max_p_value
-            and gate_amplitude.is_displacement_law(entry.law)
-        )
-        told = gate_amplitude.extrapolated(found.part, entry.placed) if asked and entry.placed else None
-        if told is None:
-            passed.append(entry)
-        elif told.refused:
-            text = f"refused: fitted to the smaller amplitudes it predicts the largest worse by {-told.gain:.0f} nats"
-            note = Message("refused_large_motion", text)
-            refused.append(replace(entry, amplitude_gain=told.gain, notes=(*entry.notes, note)))
-        else:
-            passed.append(replace(entry, amplitude_gain=told.gain))
-    return passed + refused
 
 
 def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[Trial]:

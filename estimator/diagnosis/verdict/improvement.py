@@ -8,6 +8,7 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
+from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, Settings
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE, found_by
@@ -16,21 +17,18 @@ from estimator.identification.batch.disturbance_numbers import with_found_effect
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.finding import effect_use
 from estimator.identification.record import survey_record, usable_record
-from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_S, survey_with
-from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
-from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
-from estimator.results import Message, Parameter, messages_json
+from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
 
 Progress = Callable[[float, str], None]
-MAX_EFFECTS_ADDED = 5  # by one run
-VERDICTS_WITHOUT_EFFECT = ("complete", "unknown")
+VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 # may lie out of the band or outside the likelihood, so the held-out likelihood does not judge them
 UNSCORED_EFFECTS = tuple(name for name, e in CATALOGUE.items() if not e.in_likelihood)
 
@@ -146,29 +144,35 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 
 def improvement(
     model: Model, y: Array, rate_hz: float, say: Progress = quiet, *,
-    diagnose: Callable[..., BearingJudgement] = judge_bearing, max_effects_added: int = MAX_EFFECTS_ADDED,
+    diagnose: Callable[..., BearingJudgement] = judge_bearing,
 ) -> Improvement:  # fmt: skip
-    """Diagnose, add, fit again, until the diagnosis names nothing or its effect is refused.
+    """Diagnose, add, fit again, until the diagnosis names nothing that can be added.
 
-    diagnose : from the fitted model, its working point, the samples and the progress.
+    An effect that is refused once it is added is taken back, and the next candidate has its turn. After each addition
+    every earlier one is tested for removal.
+
+    diagnose : from the fitted model, its working point, the samples, the progress, the effects refused, the survey.
     """
     ladder = _Ladder(model, y, rate_hz, fit_all_effects(model, y, rate_hz))
     messages: list[Message] = []
     diagnoses: list[BearingJudgement] = []
-    for step in range(max_effects_added):
-        found = diagnose(ladder.whole.model, ladder.whole.point, y, _second_half(say, step / (step + 1.0)))
-        diagnoses.append(found)
-        best = found.ranking[0] if found.ranking else None
-        if found.verdict in VERDICTS_WITHOUT_EFFECT or best is None:
+    refused: frozenset[str] = frozenset()
+    while True:
+        step = len(diagnoses)
+        whole = ladder.whole
+        found = diagnose(whole.model, whole.point, y, _second_half(say, step / (step + 1.0)), refused, ladder.survey)
+        named = found.verdict not in VERDICTS_WITHOUT_EFFECT
+        best = found.ranking[0] if named and found.ranking else found.pair
+        if best is None or best.effect in refused:
             break
         if refusal := ladder.add(best):
-            messages.append(Message("not_added", f"{found.verdict} was named but {refusal}: not added"))
-            break
-    else:
-        text = f"{max_effects_added} effects were added, the limit of one run: run improve again on the rig file"
-        messages.append(Message("most_added", f"{text} that it wrote"))
-    if len(diagnoses) == len(ladder.rungs):  # the last one was not followed
-        found = _last_verdict(found, ladder.rungs[-1])
+            messages.append(Message("not_added", f"{best.effect} was named but {refusal}: not added"))
+            refused |= {best.effect}
+            continue
+        diagnoses.append(found)
+        messages += [Message("taken_back", f"{name} is not needed any more: taken back") for name in ladder.prune()]
+    diagnoses.append(found)
+    found = _last_verdict(found, ladder.survey)
     last = found.messages if found.verdict in VERDICTS_WITHOUT_EFFECT else ()
     say(1.0, "done")
     return Improvement(
@@ -181,14 +185,11 @@ def improvement(
     )
 
 
-def _last_verdict(found: BearingJudgement, last: Rung) -> BearingJudgement:
+def _last_verdict(found: BearingJudgement, survey: BearingSurvey) -> BearingJudgement:
     """The diagnosis that ends an improvement: an effect that was refused is no verdict."""
     if found.verdict in VERDICTS_WITHOUT_EFFECT:
         return found
-    if last.missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
-        return replace(found, verdict="complete", messages=())
-    law = bool(found.ranking) and bool(found.ranking[0].placed)  # of another shape than what is missing
-    return replace(found, verdict="unknown", messages=()) if law else found
+    return replace(found, verdict="complete" if survey.adequate else "unknown", messages=())
 
 
 def _second_half(say: Progress, start: float) -> Progress:
@@ -203,7 +204,9 @@ class _Ladder:
         self._given, self._y, self._rate_hz = given, y, rate_hz
         self._shift = 0.0  # nats per sample, so that each rung is compared on the bins that both are judged on
         self.whole = whole
-        self.rungs = [rung(whole.model, whole.point, y)]
+        first, self.survey = surveyed_rung(whole.model, whole.point, y)
+        self.rungs = [first]
+        self._added: list[str] = []
 
     def add(self, best: Entry) -> str:
         """Add an effect that was named. Returns why it is refused; "" where it is added."""
@@ -216,20 +219,45 @@ class _Ladder:
         point, last, shift = self.whole.point, self.rungs[-1], self._shift
         if (data := new.point.data).bins.size < point.data.bins.size:  # left out beside a crack
             shift = last.heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
-        now = rung(new.model, new.point, self._y)
+        now, survey = surveyed_rung(new.model, new.point, self._y)
         now = replace(now, heldout_nll=now.heldout_nll + shift)
+        if now.missing[0] > max(last.missing[2], last.missing[0]):
+            return "raises the missing force"
         if best.effect not in UNSCORED_EFFECTS and now.heldout_nll >= last.heldout_nll:
             return "does not improve the held-out likelihood"
         gain_nats = (last.heldout_nll - now.heldout_nll) * point.data.blocks * point.data.block
-        if (
-            best.effect in PERIODIC_EFFECTS
-            and now.missing[0] >= last.missing[0]
-            and not gain_nats > THRESHOLDS.min_gain_nats
-        ):
+        idle = now.missing[0] >= last.missing[0] and not gain_nats > THRESHOLDS.min_gain_nats
+        if best.effect in PERIODIC_EFFECTS and idle:
             return "does not reduce the missing force"
-        self.whole, self._shift = new, shift
+        self.whole, self._shift, self.survey = new, shift, survey
         self.rungs.append(now)
+        self._added += dict.fromkeys(law.effect.name for law in best.placed) or [best.effect]
         return ""
+
+    def prune(self) -> list[str]:
+        """The laws added before the last one without which the model predicts as well; they are taken back."""
+        gone: list[str] = []
+        for name in self._added[:-1]:
+            point = self.whole.point
+            fewer = [law for law in point.placed if law.effect.name != name]
+            if len(fewer) == len(point.placed) or point.data.disc is not None and self._shift:
+                continue
+            less = fit_model(point.data, fewer, start=point)
+            lost = (heldout_nll(less) - heldout_nll(point)) * point.data.blocks * point.data.block
+            if lost > THRESHOLDS.min_gain_nats:
+                continue
+            model = replace(
+                self.whole.model, effects=tuple(use for use in self.whole.model.effects if use.name != name)
+            )  # fmt: skip
+            now, survey = surveyed_rung(model, less, self._y)
+            if now.missing[0] > max(self.rungs[-1].missing[2], self.rungs[-1].missing[0]):
+                continue
+            self.whole = replace(self.whole, model=fitted_model(model, less), point=less)
+            self.survey = survey
+            self.rungs.append(replace(now, heldout_nll=now.heldout_nll + self._shift))
+            gone.append(name)
+        self._added = [name for name in self._added if name not in gone]
+        return gone
 
     def _with_law(self, best: Entry) -> FullFit | None:
         """The model with a law that was found; None where the law cannot be distinguished from zero.
@@ -296,11 +324,15 @@ def _refitted(
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     """The held-out likelihood and the missing force of a fitted model. y : (n, channels), SI."""
-    found, _, nll, rmse = survey_with(
-        point_on_part(point, SURVEY_S), model, lambda: search(model, point, y), lambda: heldout_nll(point),
-        lambda: heldout_rmse(model, y, point.data.rate_hz),
+    return surveyed_rung(model, point, y)[0]
+
+
+def surveyed_rung(model: Model, point: WorkingPoint, y: Array) -> tuple[Rung, BearingSurvey]:
+    """The rung of a fitted model, and its survey. y : (n, channels), SI."""
+    survey, nll, rmse = survey_bearing(
+        model, point, y, lambda: heldout_nll(point), lambda: heldout_rmse(model, y, point.data.rate_hz)
     )  # fmt: skip
-    return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)
+    return Rung(tuple(u.name for u in model.effects), nll, survey.missing.interval(), rmse), survey
 
 
 def insignificant_effects(point: WorkingPoint) -> list[Message]:

@@ -11,14 +11,11 @@ import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.hypotheses.screen import amplitude_checked, promising_trials, rank_on_part
-from estimator.diagnosis.verdict.bearing import BearingJudgement, quiet, verdict_of_laws, verdict_of_ranking
+from estimator.diagnosis.hypotheses.screen import promising_trials
 from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.gate_second_law import another_explains
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
-from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.model.rig import EffectUse, Model
 from estimator.simulation.simulator import simulate
 
@@ -104,78 +101,6 @@ def test_catalogue(effect: str, strength: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("right", "wrong", "if_far"), [("quadratic", "stop", "quadratic"), ("clearance", "quintic", "unknown")]
-)
-def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
-    rig: Model, monkeypatch: pytest.MonkeyPatch, right: str, wrong: str, if_far: str
-) -> None:
-    """As Bouc-Wen is at times some nats ahead of a drag that is there; and it is no second law of a pair. A stop is odd
-    and even, and may pass the even law that is there by any number of nats."""
-    monkeypatch.setattr(
-        "estimator.likelihood.motion.located_law.CATALOGUE", {name: CATALOGUE[name] for name in (right, wrong)}
-    )
-    y = record(rig, right, 0.06)
-    fitted = fit_all_effects(rig, y, RATE)
-    found = rank_on_part(fitted.model, fitted.point, y, quiet)
-    before, entries = found.before, amplitude_checked(found)
-    there, ahead = (next(e for e in entries if e.effect == name) for name in (right, wrong))
-
-    def verdict(nats: float, force: float = 1.0) -> BearingJudgement:
-        order = [replace(ahead, score=there.score + nats), there]
-        return verdict_of_laws(
-            fitted.model, fitted.point, replace(before, bearing_force_N=force * before.bearing_force_N), order, quiet
-        )
-
-    near, far = verdict(5.0), verdict(50.0)
-    assert near.verdict == near.ranking[0].effect == right
-    assert near.messages[0].text.startswith(f"{wrong} was ahead")
-    assert far.verdict == if_far
-    if if_far == "unknown":
-        assert far.ranking[0].effect == wrong
-        assert verdict(50.0, force=1e3).verdict == "complete", "of so little nothing is claimed"
-
-
-def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
-    rig: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Beside noise as strong as the motion trials won up to 38 nats by a law that the fit then takes away (Bouc-Wen,
-    behind filters that fold, another simulator)."""
-    monkeypatch.setattr(
-        "estimator.likelihood.motion.located_law.CATALOGUE",
-        {name: CATALOGUE[name] for name in ("quadratic", "coulomb")},
-    )
-    y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
-    fitted = fit_all_effects(rig, y, RATE)
-    found = rank_on_part(fitted.model, fitted.point, y, quiet)
-    before, entries = found.before, amplitude_checked(found)
-    assert not before.places_found()
-    seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
-    others = [e for e in entries if e.effect != "quadratic"]
-    found = verdict_of_ranking(fitted.model, fitted.point, before, [seeming, *others], quiet)
-    assert found.verdict == "complete"
-    assert [e.effect for e in found.ranking][-1] == "quadratic"
-    assert found.ranking[-1].notes[-1].code == "refused_idle"
-
-
-def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> None:
-    """The odd half of a one-sided stop takes a part of what an odd law of the wrong shape leaves (|x|^1.5, another
-    simulator): that made a cubic and a stop of one law that is neither."""
-    bare = replace(rig, effects=())
-    point = fit_all_effects(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
-    left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain_nats=16.0)])])
-    best = SimpleNamespace(law=CATALOGUE["quintic"], places={0, 1})
-
-    def explained(gain: float) -> bool:
-        stop = CATALOGUE["stop"]
-        stops = [SimpleNamespace(effect=stop, gain=gain, df=2, placed=SimpleNamespace(at=(i,))) for i in (0, 1)]
-        return another_explains(point, {"stop": stops}, left, best)  # type: ignore[arg-type]
-
-    assert not explained(8.0)
-    assert explained(1000.0)
-
-
-@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_false_alarms_are_rare() -> None:
     from daq.commands.study.confusion import run
@@ -200,17 +125,3 @@ def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> No
     found = {(t.effect.name, t.location) for t in promising_trials(trials)}  # type: ignore[arg-type]
     assert {e for e, _ in found} == {"quintic", "clearance"}
     assert ("clearance", "bearing1.x") in found
-
-
-@pytest.mark.slow
-def test_a_shaft_that_is_stiffer_than_the_rig_file_says_is_unknown_and_said() -> None:
-    """No effect of the catalogue is a wrong spring: what is missing is seen against the other bearing."""
-    stiff = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
-    stiff = replace(
-        stiff, channels=tuple(c for c in stiff.channels if c.direction == "x"), effects=(), shaft="beam",
-        linear={p: v for p, v in stiff.linear.items() if p.endswith("x")}, shaft_stiffness=1e6, band=(600.0, 8000.0),
-    )  # fmt: skip
-    y = simulate(replace(stiff, shaft_stiffness=1.2e6), RATE, 6.0, seed=1, noise=0.02)
-    found = diagnose(stiff, y, RATE)
-    assert found.verdict == "unknown"
-    assert any(m.code == "caps_coupled_otherwise" for m in found.messages)

@@ -189,7 +189,7 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
 def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(rig: Model) -> None:
     true, typed = unlisted(rig, "tanh")
     y = simulate(having(rig, true), RATE, SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)
-    ladder = improvement(replace(rig, candidates=(typed,)), y, RATE, max_effects_added=1)
+    ladder = improvement(replace(rig, candidates=(typed,)), y, RATE)
     assert ladder.diagnoses[0].verdict == "mine"
     assert [u.name for u in ladder.model.effects] == ["cubic", "mine"]
     assert not ladder.model.candidates
@@ -207,3 +207,18 @@ def test_masses_that_are_left_out_are_found_again_with_what_was_missing() -> Non
         m, value = found.parameters[f"{place}.m"], known.cap_mass(place)
         assert abs((m.value or 0.0) - (value or 0.0)) < 4.0 * (m.sd or 0.0), (place, m)
         assert m.value == pytest.approx(again[f"{place}.m"].value, abs=0.1 * (m.sd or 0.0)), place
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "clearance"), ("cubic", "quintic")])
+def test_two_laws_of_one_state_are_added_together(pair: tuple[str, str]) -> None:
+    """No law alone has the shape of both."""
+    rig = replace(one_bearing(), effects=())
+    truth = rig
+    for name in pair:
+        law = CATALOGUE[name]
+        values = strengths(law, size(rig, "bearing1.x", RATE), 0.06, rig, 20.0)
+        truth = with_effect(truth, law, values, "bearing1.x", "bearing1.y")
+    ladder = improve(rig, simulate(truth, RATE, 20.0, seed=3, noise=0.02, full_scale=490.5), RATE)
+    assert ladder.last.verdict == "complete"
+    assert set(ladder.rungs[-1].effects) == set(pair)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, size, strengths, with_effect
 
-from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
@@ -53,9 +52,8 @@ def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
 
 @pytest.mark.slow
 def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
-    name, model, _, point = strong
+    _, model, _, point = strong
     assert not missing_force.survey(point, model).any_found()
-    assert gate_shape.misfit_rel(point, point, CATALOGUE[name], set(range(len(model.places)))) == 0.0
 
 
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)

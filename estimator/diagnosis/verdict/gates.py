@@ -1,0 +1,150 @@
+"""The gates that a candidate passes before it is named: one function and one threshold each.
+
+No gate knows an effect by name. A gate that does not concern a candidate lets it pass. They are asked in order, the
+cheap ones first, and the first that refuses ends the questions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.diagnosis.comparison.survey import BearingSurvey
+from estimator.diagnosis.hypotheses import gate_amplitude
+from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
+from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.identification.residual import missing_force
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import Model
+
+from .joint_fit import JointFit, joint_fit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Context:
+    """What the gates may look at.
+
+    Parameters
+    ----------
+    model, point : Model, WorkingPoint
+        The model as it is, fitted to the record.
+    y : (n, channels) float64
+        Samples, SI.
+    survey : BearingSurvey
+        What the model leaves over.
+    say : callable
+        Progress.
+    fits : dict of str to JointFit
+        Candidates that were fitted together with the model, by effect.
+    """
+
+    model: Model
+    point: WorkingPoint
+    y: Array
+    survey: BearingSurvey
+    say: Progress
+    fits: dict[str, JointFit] = field(default_factory=dict)
+
+    def fitted(self, entry: Entry) -> JointFit:
+        """The candidate fitted together with the model."""
+        if entry.effect not in self.fits:
+            self.say(0.85, f"does {entry.effect} explain it?")
+            self.fits[entry.effect] = joint_fit(self.model, self.point, self.y, self.survey, entry)
+        return self.fits[entry.effect]
+
+
+Gate = Callable[[Entry, Context], GateResult]
+
+
+def significant(entry: Entry, context: Context) -> GateResult:
+    """The p-value pays for everything that was tried."""
+    p, most = entry.p_value, THRESHOLDS.max_p_value
+    return GateResult(gate="significant", passed=p <= most, measured=p, limit=most, text="p-value")
+
+
+def large_enough(entry: Entry, context: Context) -> GateResult:
+    """The force is larger than the errors of a simulation or a filter."""
+    least = 100 * missing_force.NEGLIGIBLE_FORCE_SHARE
+    force, text = entry.explained_percent, "force, % of the bearing force"
+    return GateResult(gate="large enough", passed=force >= least, measured=force, limit=least, text=text)
+
+
+def inside_limits(entry: Entry, context: Context) -> GateResult:
+    """No tone or mode above half the rate, and no gap wider than the motion."""
+    data = context.point.data
+    most = THRESHOLDS.max_frequency_over_rate
+    highest = max((p.value or 0.0 for p in entry.parameters.values() if p.unit == "Hz"), default=0.0) / data.rate_hz
+    if highest > most:
+        text = "frequency over the rate"
+        return GateResult(gate="inside limits", passed=False, measured=highest, limit=most, text=text)
+    gaps = [
+        law.p[k] / np.sqrt(np.sum(np.max(np.abs(data.x[list(law.at)]), axis=1) ** 2))
+        for law in entry.placed for k, q in enumerate(law.effect.parameters)
+        if not q.linear and q.scale == "x" and q.low >= 0.0
+    ]  # fmt: skip
+    if not gaps:
+        return GateResult(gate="inside limits", passed=True)
+    widest, most = float(min(gaps)), THRESHOLDS.max_gap_over_motion
+    text = "gap over the largest motion"
+    return GateResult(gate="inside limits", passed=widest <= most, measured=widest, limit=most, text=text)
+
+
+def gains_in_folds(entry: Entry, context: Context) -> GateResult:
+    """The candidate predicts in all but one of the held-out time folds."""
+    if not entry.folds:
+        return GateResult(gate="gains in folds", passed=True)
+    gained, least = sum(g > 0.0 for g in entry.folds), len(entry.folds) - THRESHOLDS.max_lost_folds
+    return GateResult(
+        gate="gains in folds", passed=gained >= least, measured=gained, limit=least, text="held-out folds gained"
+    )
+
+
+def holds_at_large_amplitudes(entry: Entry, context: Context) -> GateResult:
+    """A law of displacement fitted to the smaller motion predicts the largest."""
+    concerned = gate_amplitude.is_displacement_law(entry.law)
+    told = gate_amplitude.extrapolated(context.survey.part, entry.placed) if concerned else None
+    if told is None:
+        return GateResult(gate="large amplitudes", passed=True)
+    return GateResult(
+        gate="large amplitudes", passed=not told.refused, measured=told.gain, limit=-told.allowed, text="nats gained"
+    )
+
+
+def told_from_zero(entry: Entry, context: Context) -> GateResult:
+    """Fitted together with the model, the candidate is told from zero and predicts held-out data."""
+    gain, least = context.fitted(entry).gain_nats, THRESHOLDS.min_gain_nats
+    if gain is None:
+        return GateResult(gate="told from zero", passed=True)
+    text = "held-out nats, fitted with the model,"
+    return GateResult(gate="told from zero", passed=gain >= least, measured=gain, limit=least, text=text)
+
+
+def leaves_little(entry: Entry, context: Context) -> GateResult:
+    """The candidate leaves at most a fifth of what it was to explain."""
+    left, most = context.fitted(entry).left_rel, THRESHOLDS.max_left_rel
+    if left is None:
+        return GateResult(gate="leaves little", passed=True)
+    text = "share left of what it was to explain"
+    return GateResult(gate="leaves little", passed=left <= most, measured=left, limit=most, text=text)
+
+
+NAMING_GATES: tuple[Gate, ...] = (
+    significant, large_enough, inside_limits, gains_in_folds, holds_at_large_amplitudes, told_from_zero, leaves_little,
+)  # fmt: skip
+
+
+def judged(entry: Entry, context: Context) -> Entry:
+    """The candidate with what the gates say, and with the numbers of its joint fit if it came so far."""
+    said: list[GateResult] = []
+    for gate in NAMING_GATES:
+        said.append(gate(entry, context))
+        if not said[-1].passed:
+            break
+    amplitude = next((g.measured for g in said if g.gate == "large amplitudes"), None)
+    known = context.fits.get(entry.effect)
+    best = entry if known is None else known.entry
+    return replace(best, gates=tuple(said), amplitude_gain=amplitude)

@@ -1,0 +1,71 @@
+"""Mistakes in the rig file, told by the coherence of the residual forces of two bearings on one shaft."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import ROOT
+
+from daq.rig.rig import load_rig
+from estimator.diagnosis.hypotheses.rig_file import (
+    InvertedChannel,
+    RigFileContext,
+    ScaledMass,
+    ScaledSpring,
+    SwappedChannels,
+    coupling_hypotheses,
+    likeliest_mistake,
+)
+from estimator.model.rig import Model, Setting
+from estimator.simulation.simulator import simulate
+
+RATE_HZ = 12800.0
+
+
+def coupled() -> Model:
+    """Two caps in one direction on a shaft as stiff as the bearings."""
+    rig = load_rig(ROOT / "configs/strong_shaft.toml").model
+    channels = tuple(c for c in rig.channels if c.direction == "x")
+    linear = {c.place: {"kL": Setting(1e7), "c": Setting(40.0), "S": Setting(9e-5)} for c in channels}
+    mass = {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.22}
+    return replace(rig, channels=channels, mass=mass, linear=linear, effects=(), band=(150.0, 4500.0))
+
+
+@pytest.mark.parametrize("hypothesis", [ScaledMass("bearing1"), ScaledSpring()])
+def test_a_factor_changes_one_number_and_back(hypothesis: ScaledMass | ScaledSpring) -> None:
+    model = coupled()
+    changed = hypothesis.apply(hypothesis.apply(model, (2.0,)), (0.5,))
+    assert changed.mass == pytest.approx(dict(model.mass))
+    assert changed.shaft_stiffness == pytest.approx(model.shaft_stiffness)
+    (parameter,) = hypothesis.parameters(model, (2.0,)).values()
+    assert parameter.value in (2 * model.mass["bearing1"], 2 * model.shaft_stiffness)
+    assert (2.0,) in hypothesis.propose(RigFileContext(model=model))
+
+
+def test_channels_change_places_and_signs() -> None:
+    model = coupled()
+    swapped = SwappedChannels(0, 1).apply(model, ())
+    assert [c.place for c in swapped.channels] == ["bearing2.x", "bearing1.x"]
+    assert [c.name for c in swapped.channels] == [c.name for c in model.channels]
+    assert InvertedChannel(0).apply(model, ()).effects[-1].at == ("bearing1.x",)
+
+
+def test_one_bearing_alone_has_no_witness() -> None:
+    model = coupled()
+    assert coupling_hypotheses(model)
+    assert not coupling_hypotheses(replace(model, shaft="none"))
+    assert not coupling_hypotheses(replace(model, channels=model.channels[:1]))
+
+
+def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -> None:
+    true = coupled()
+    y = simulate(true, RATE_HZ, 6.0, seed=3, noise=0.02)
+    assert likeliest_mistake(true, y, RATE_HZ) is None
+    typed = replace(true, mass={**true.mass, "bearing1": 0.4})
+    found = likeliest_mistake(typed, y, RATE_HZ)
+    assert found is not None
+    assert found.hypothesis == ScaledMass("bearing1")
+    assert found.hypothesis.parameters(typed, found.values)["rig.mass.bearing1"].value == pytest.approx(0.2, rel=0.1)
+    assert np.isfinite(found.left_nats)

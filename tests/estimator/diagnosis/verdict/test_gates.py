@@ -1,0 +1,110 @@
+"""Every gate lets pass and refuses by its one number; the first that refuses ends the questions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing
+
+from estimator.diagnosis.comparison.survey import survey_bearing
+from estimator.diagnosis.hypotheses.ranking import Entry, in_order, separation_text
+from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.diagnosis.verdict import bearing
+from estimator.diagnosis.verdict.gates import (
+    NAMING_GATES,
+    Context,
+    gains_in_folds,
+    inside_limits,
+    judged,
+    large_enough,
+    leaves_little,
+    significant,
+    told_from_zero,
+)
+from estimator.diagnosis.verdict.joint_fit import JointFit
+from estimator.effects import CATALOGUE
+from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.likelihood.motion.located_law import LocatedLaw
+from estimator.model.rig import Model
+from estimator.results import Parameter
+from estimator.simulation.simulator import simulate
+
+
+def rig() -> Model:
+    """One cap in one direction, with a linear bearing."""
+    both = one_bearing()
+    linear = {"bearing1.x": both.linear["bearing1.x"]}
+    return replace(both, channels=both.channels[:1], linear=linear, effects=())
+
+
+@pytest.fixture(scope="module")
+def context() -> Context:
+    """A complete rig, fitted and surveyed."""
+    model = rig()
+    y = simulate(model, RATE, 3.0, seed=5, noise=0.02)
+    fitted = fit_all_effects(model, y, RATE)
+    (survey,) = survey_bearing(fitted.model, fitted.point, y)
+    return Context(model=fitted.model, point=fitted.point, y=y, survey=survey, say=bearing.quiet)
+
+
+def entry(name: str = "clearance", values: tuple[float, ...] = (1e6, 1e-8), **more: object) -> Entry:
+    """A candidate law with ample evidence."""
+    law = LocatedLaw(CATALOGUE[name], f"bearing1.x.{name}", (0,), np.array(values), (True,) * len(values))
+    given = Entry(
+        name, ("bearing1",), 50.0, 45.0, 1e-9, 3.0, 0.0, {}, 48.0, explained_percent=3.0, placed=(law,),
+        folds=(8.0, 7.0, 8.0, 7.0, 8.0, 7.0),
+    )  # fmt: skip
+    return replace(given, **more)  # type: ignore[arg-type]
+
+
+def test_every_gate_lets_pass_and_refuses_by_its_number(context: Context) -> None:
+    fits = {"clearance": JointFit(entry=entry(), left_rel=0.1, gain_nats=40.0)}
+    good = replace(context, fits=fits)
+    for gate in NAMING_GATES:
+        result = gate(entry(), good)
+        assert result.passed, result
+        assert result.gate in str(result)
+    assert not significant(entry(p_value=2e-3), good).passed
+    assert not large_enough(entry(explained_percent=0.05), good).passed
+    assert not gains_in_folds(entry(folds=(30.0, -1.0, 20.0, -0.5, 3.0, 2.0)), good).passed
+    assert gains_in_folds(entry(folds=(30.0, -1.0, 20.0, 0.5, 3.0, 2.0)), good).passed
+    bad = JointFit(entry=entry(), left_rel=0.5, gain_nats=1.0)
+    assert not told_from_zero(entry(), replace(context, fits={"clearance": bad})).passed
+    assert not leaves_little(entry(), replace(context, fits={"clearance": bad})).passed
+
+
+def test_what_no_machine_can_have_is_no_candidate(context: Context) -> None:
+    assert inside_limits(entry(), context).passed
+    assert not inside_limits(entry(values=(1e6, 1.0)), context).passed, "a gap of a metre"
+    tone = {"bearing1.x.line.frequency": Parameter(0.6 * RATE, 1.0, "Hz")}
+    assert not inside_limits(entry(placed=(), parameters=tone), context).passed, "above half the rate"
+
+
+def test_the_first_gate_that_refuses_is_the_last_that_is_asked(context: Context) -> None:
+    found = judged(entry(p_value=0.5), context)
+    assert [gate.gate for gate in found.gates] == ["significant"]
+    assert not found.passed
+    assert "clearance" not in context.fits
+
+
+def test_a_candidate_that_explains_no_force_stands_behind_one_that_does() -> None:
+    """A tone with more nats than the law that is missing, and no force."""
+    tone = entry("cubic", (1.0,), score=131.0, before_percent=3.09, after_percent=3.09)
+    law = entry("quintic", (1.0,), score=121.0, before_percent=3.09, after_percent=0.0)
+    assert [e.effect for e in in_order([tone, law])] == ["quintic", "cubic"]
+
+
+def test_two_within_the_resolution_are_both_named(context: Context) -> None:
+    passed = judged(entry(), replace(context, fits={"clearance": JointFit(entry=entry(), left_rel=0.0)}))
+    second = replace(passed, effect="hertz", gain=passed.gain - THRESHOLDS.rival_nats / 2)
+    assert separation_text([passed, second]).startswith("clearance or hertz: ")
+    assert " or " not in separation_text([passed, replace(second, gates=())]).split(":")[0]
+
+
+def test_no_effect_is_named_beside_an_adequate_model(context: Context) -> None:
+    assert context.survey.adequate
+    found = bearing.judge_bearing(context.model, context.point, context.y, survey=context.survey)
+    assert found.verdict == "complete"
+    assert not any(e.gates for e in found.ranking)
