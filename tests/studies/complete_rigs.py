@@ -20,7 +20,7 @@ import numpy as np
 from estimator import CATALOGUE, Channel, DataError, EffectUse, Model, ModelError, Setting, compare, diagnose, simulate
 
 SECONDS = 20.0
-CLAIMS = frozenset({"shaft_differs", "caps_coupled_otherwise"})  # codes of messages that blame the rig file
+CLAIMS = frozenset({"rig_file", "caps_coupled_otherwise"})  # codes of messages that blame the rig file
 NOISE = next(name for name, effect in CATALOGUE.items() if effect.kind == "sensor" and name.endswith("noise"))
 
 

@@ -260,14 +260,14 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
 
     def coherence(changed: Model) -> float:
         try:
-            nats, paid = force_coherence(fit_record(changed, prepare(changed, part, rate_hz), coarse=True))
+            nats, paid = force_coherence(fit_record(changed, prepare(changed, part, rate_hz)))
         except (DataError, ModelError, NotFiniteError, np.linalg.LinAlgError, FloatingPointError):
             return np.inf
         return nats - paid / 2 if np.isfinite(nats) else np.inf
 
     if not asked:
         return None
-    nats, paid = force_coherence(fit_record(model, prepare(model, part, rate_hz), coarse=True))
+    nats, paid = force_coherence(fit_record(model, prepare(model, part, rate_hz)))
     if chdtrc(paid, 2 * nats) * len(asked) > THRESHOLDS.coherence_max_p_value:
         return None
     before = nats - paid / 2

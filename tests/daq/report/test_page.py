@@ -103,7 +103,7 @@ def test_what_is_said_of_a_diagnosis_is_what_it_found() -> None:
         "verdict": "unknown",
         "ranking": [],
         "messages": ["the shaft is softer than the rig file says"],
-        "message_codes": ["shaft_differs"],
+        "message_codes": ["caps_coupled_otherwise"],
     }
     assert "softer" in about_diagnosis(unknown)[0]
     assert "typed" not in about_diagnosis(unknown)[0]
