@@ -23,7 +23,6 @@ INSIDE = {
     "daq/log/test_place.py": (1, SEAM),
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
     "estimator/diagnosis/verdict/test_diagnosis.py": (1, SEAM),
-    "estimator/diagnosis/verdict/test_gate_second_law.py": (1, LEAVES),
     "estimator/diagnosis/verdict/test_improvement.py": (1, "the roll-off search leaves"),
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
     "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
