@@ -65,8 +65,9 @@ def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
         if path.is_fifo():  # to open it would wait for somebody who writes
             raise LogError(f"{path}: is a pipe; write the log to a file first")
         with path.open("rb", READ_BYTES) as file:
+            first = findings.size is None
             findings.size = os.fstat(file.fileno()).st_size if findings.size is None else findings.size
-            yield from _scan(file, findings.size, findings)
+            yield from _scan(file, findings.size, findings, _Checksum(zlib.crc32(LOG_MAGIC) if first else None))
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
 
@@ -91,25 +92,46 @@ class _Limits:
         return min(self.unpacked_bytes, self.records, self.damaged_bytes) < 0
 
 
-class _Record(NamedTuple):
-    """A record's head: opcode, bytes of its content, where it ends; packed : of the chunk that it looks like."""
+@dataclass(slots=True)
+class _Checksum:
+    """Over all of the file up to the end of its data: of indexes and names, too, that no other checksum covers.
 
+    value : None in another pass over a file that was verified. compared : the end of the data was found.
+    """
+
+    value: int | None
+    compared: bool = False
+
+    def add(self, data: bytes) -> None:
+        if self.value is not None:
+            self.value = zlib.crc32(data, self.value)
+
+    def compare(self, said: int, findings: Findings) -> None:
+        self.compared = True
+        if self.value is not None and said not in (0, self.value) and not findings.damage:  # 0: it was never written
+            findings.damage.append("a byte is changed that is part of no sample: in an index, or a name")
+
+
+class _Record(NamedTuple):
+    """A record's head as bytes, and in it: opcode, bytes of its content, where it ends; packed : of the chunk that it
+    looks like."""
+
+    head: bytes
     op: int
     length: int
     end: int
     packed: int | None
 
 
-def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Message]]:
+def _scan(file: BinaryIO, size: int, findings: Findings, checksum: _Checksum) -> Iterator[list[Message]]:
     magic = file.read(len(LOG_MAGIC))
     if magic != LOG_MAGIC:
         findings.damage.append("the first 8 bytes are not those of an MCAP file")
     at, limits, unpacker = len(LOG_MAGIC), _Limits.of(size), zstandard.ZstdDecompressor()
-    crc = zlib.crc32(magic)  # of all before the end of the data: of indexes and names, too, that no other covers
     while at < size:
         record, problem = _record(file, at, size), ""
         if record.packed is not None:  # a chunk, whatever a flipped bit makes of its kind or its length
-            content = file.read(CHUNK_HEAD.size + SIZE_STRUCT.size + record.packed)
+            content = record.head[RECORD_STRUCT.size :] + file.read(record.packed)
             chunk = _chunk(content, unpacker, limits)
             if not isinstance(chunk, str):
                 if record.op != CHUNK_OPCODE or record.length != len(content):
@@ -118,7 +140,8 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
                 findings.chunks += 1
                 findings.messages += len(messages)
                 yield messages
-                crc = zlib.crc32(content, zlib.crc32(_at(file, at, RECORD_STRUCT.size), crc))
+                checksum.add(record.head[: RECORD_STRUCT.size])
+                checksum.add(content)
                 at += RECORD_STRUCT.size + len(content)
                 if limits.spent:
                     findings.damage.append(f"{TOO_MUCH}; the rest is left out")
@@ -127,7 +150,7 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
             problem = chunk if record.op == CHUNK_OPCODE or record.length == len(content) else ""
             limits.damaged_bytes -= record.packed
         if not problem:
-            problem, crc = _other(file, at, size, record, crc, findings)
+            problem = _other(file, at, size, record, checksum, findings)
         if not problem:
             if record.op == FOOTER_OPCODE:
                 return
@@ -143,44 +166,50 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
 def _record(file: BinaryIO, at: int, size: int) -> _Record:
     """The head of the record at `at`; opcode 0 if there is no whole one."""
     head = _at(file, at, HEADS_BYTES)
-    file.seek(at + RECORD_STRUCT.size)
     if len(head) < RECORD_STRUCT.size:
-        return _Record(0, 0, size + 1, None)
+        return _Record(head, 0, 0, size + 1, None)
     op, length = RECORD_STRUCT.unpack_from(head)
     packed = None
     if len(head) == HEADS_BYTES and head[SIGNATURE_AT : SIGNATURE_AT + len(ZSTD_SIGNATURE)] == ZSTD_SIGNATURE:
         (said,) = SIZE_STRUCT.unpack_from(head, HEADS_BYTES - SIZE_STRUCT.size)
         alike = op == CHUNK_OPCODE or length == HEADS_BYTES - RECORD_STRUCT.size + said
         packed = said if alike and said <= min(MAX_CHUNK_BYTES, size - at - HEADS_BYTES) else None
-    return _Record(op, length, at + RECORD_STRUCT.size + length, packed)
+    return _Record(head, op, length, at + RECORD_STRUCT.size + length, packed)
 
 
-def _other(file: BinaryIO, at: int, size: int, record: _Record, crc: int, findings: Findings) -> tuple[str, int]:
-    """What is wrong with a record that is no chunk, else ""; and the checksum over the file up to its end."""
+def _other(
+    file: BinaryIO, at: int, size: int, record: _Record, checksum: _Checksum, findings: Findings
+) -> str:  # fmt: skip
+    """What is wrong with a record that is no chunk, else ""."""
     if record.end > size:
-        return "ends inside a record", crc
+        return "ends inside a record"
     if not 1 <= record.op <= DATA_END_OPCODE:
-        return "is not a record", crc
+        return "is not a record"
     if record.op == CHUNK_OPCODE:
-        return "has a damaged chunk header", crc
+        return "has a damaged chunk header"
     if record.op == FOOTER_OPCODE:
         if size - at != FOOTER_BYTES:
-            return "has an end that is not at its end", crc
+            return "has an end that is not at its end"
+        if not checksum.compared:
+            findings.damage.append("the end of the data is damaged")
         findings.closed = _closed(file, at, size, findings)
-        return "", crc
+        return ""
     if record.op == ATTACHMENT_OPCODE:
         content = _at(file, at, record.end - at)
-        return _attachment(content[RECORD_STRUCT.size :], findings), zlib.crc32(content, crc)
-    if _next_chunk(file, at + 1, size, record.end) is not None:
-        return "has a record that swallows a chunk", crc  # its length has no checksum: never trust it that far
+        checksum.add(content)
+        return _attachment(content[RECORD_STRUCT.size :], findings)
+    ahead = _at(file, at, min(record.end - at, READ_BYTES) + SIGNATURE_AT + len(ZSTD_SIGNATURE))
+    long = record.length > READ_BYTES
+    if (long or ZSTD_SIGNATURE in ahead) and _next_chunk(file, at + 1, size, record.end) is not None:
+        return "has a record that swallows a chunk"  # its length has no checksum: never trust it that far
     if record.op == DATA_END_OPCODE and record.length == 4:
-        said = int.from_bytes(_at(file, at + RECORD_STRUCT.size, 4), "little")
-        if said not in (0, crc) and not findings.damage:  # 0: of a log that was written without it
-            findings.damage.append("a byte is changed that is part of no sample: in an index, or a name")
-        return "", crc
-    for start in range(at, record.end, READ_BYTES):
-        crc = zlib.crc32(_at(file, start, min(READ_BYTES, record.end - start)), crc)
-    return "", crc
+        checksum.compare(int.from_bytes(ahead[RECORD_STRUCT.size : RECORD_STRUCT.size + 4], "little"), findings)
+    elif not long:
+        checksum.add(ahead[: record.end - at])
+    elif checksum.value is not None:
+        for start in range(at, record.end, READ_BYTES):
+            checksum.add(_at(file, start, min(READ_BYTES, record.end - start)))
+    return ""
 
 
 def _at(file: BinaryIO, at: int, count: int) -> bytes:
@@ -207,26 +236,27 @@ def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor, limits: _Limits
 
 
 def _messages(records: bytes, findings: Findings, limits: _Limits) -> Iterator[Message]:
-    at, size = 0, len(records)
+    at, size, allowed = 0, len(records), limits.records
     while at + RECORD_STRUCT.size <= size:
         op, length = RECORD_STRUCT.unpack_from(records, at)
         at += RECORD_STRUCT.size
-        limits.records -= 1
-        if op not in (SCHEMA_OPCODE, CHANNEL_OPCODE, MESSAGE_OPCODE):
-            findings.damage.append("a chunk holds what belongs into none")
-            return
-        if limits.spent:
-            return
         if at + length > size:
             findings.damage.append("a chunk holds half a record")
-            return
+            break
         if op == MESSAGE_OPCODE and length >= MESSAGE_HEAD.size:
             channel, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(records, at)
             yield Message(channel, log_time, publish_time, records[at + MESSAGE_HEAD.size : at + length])
         elif op == CHANNEL_OPCODE and length >= 8:
             number, _, name_length = struct.unpack_from("<HHI", records, at)
             findings.topics[number] = records[at + 8 : at + min(8 + name_length, length)].decode("utf-8", "replace")
+        elif op not in (SCHEMA_OPCODE, CHANNEL_OPCODE, MESSAGE_OPCODE):
+            findings.damage.append("a chunk holds what belongs into none")
+            break
         at += length
+        allowed -= 1
+        if allowed < 0:
+            break
+    limits.records = allowed
 
 
 def _attachment(content: bytes, findings: Findings) -> str:
