@@ -1,1 +1,13 @@
-"""Excitation spectra, sensor noise, recorder filter and faults of transfer functions."""
+"""Excitation spectra, modes, sensor noise, recorder filter and faults of transfer functions."""
+
+from .survey import ExcitationSpectrum, Mode, PlaceStructure, PolePoint, StructureSurvey, bearing_mode, survey_structure
+
+__all__ = [
+    "ExcitationSpectrum",
+    "Mode",
+    "PlaceStructure",
+    "PolePoint",
+    "StructureSurvey",
+    "bearing_mode",
+    "survey_structure",
+]

@@ -1,0 +1,189 @@
+"""Spectrum of a channel in cells of a constant relative width, without its tones: what modes are fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+from scipy.ndimage import median_filter
+from scipy.special import digamma, gammainccinv
+
+from estimator.arrays import Array
+from estimator.identification.machine.pieces import Pieces
+
+CELL_WIDTH_REL = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
+PIECES_PER_RECORD, SHORT_PIECES, SHORT_S = 8, 4, 10.0  # blocks of a record, and of one shorter than so many s
+MIN_PIECE_S = 0.05
+TAPERS = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
+TAPER_EFFICIENCY = 2 * TAPERS / (2 * TAPERS + 1)  # degrees of freedom of the average over bins, per bin over 2
+LINE_REACH_BINS = 25  # on either side of a bin, for the median about it
+MIN_LINE_REACH_BINS, SIDELOBE_BINS = 3, 1.5  # a line reaches as far as its side lobes, which fall with the distance^4
+LINE_P_VALUE = 1e-4  # for all bins
+TOOTH_REACH_BINS, TOOTH_BLUR_REL = 2, 1e-3  # of a line of a strike train: of the tapers, and of slip
+MAX_STEADY_SPREAD_REL = 0.25  # of the spread of noise: p 0.04 of four pieces, 0.002 of eight
+KIND_ORDER = {"displacement": 2, "velocity": 1, "acceleration": 0}  # times j w to acceleration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellSpectrum:
+    """PSD of the acceleration at a place, averaged in cells, for each block of the record.
+
+    Parameters
+    ----------
+    f_hz : (cells,) float64
+        Mean frequency of each cell.
+    psd : (cells,) float64
+        One-sided PSD averaged over the blocks, (m/s^2)^2/Hz.
+    block_psd : (blocks, cells) float64
+        That of each block.
+    shape : (cells,) float64
+        Shape of the gamma distribution of `psd`: half of its degrees of freedom.
+    noise : (cells,) float64
+        PSD of white noise of the sensor as acceleration, of mean 1.
+    bin_hz : float
+        Distance of the bins behind the cells, Hz.
+    line_hz : tuple of float
+        Frequencies of the tones that were left out.
+    """
+
+    f_hz: Array
+    psd: Array
+    block_psd: Array
+    shape: Array
+    noise: Array
+    bin_hz: float
+    line_hz: tuple[float, ...]
+
+
+def cell_spectrum(
+    y: Array,
+    kind: str,
+    rate_hz: float,
+    band: tuple[float, float],
+    tones_hz: Sequence[float] = (),
+    trains_hz: Sequence[float] = (),
+) -> CellSpectrum | None:
+    """Spectrum of one channel in the band.
+
+    Parameters
+    ----------
+    y : (n,) float64
+        Samples, SI; NaN where one is missing.
+    kind : {"acceleration", "velocity", "displacement"}
+        Kind of the channel.
+    rate_hz : float
+        Sampling rate, Hz.
+    band : (float, float)
+        Analysed band, Hz; it ends at 0.45 of the rate at the latest.
+    tones_hz : sequence of float
+        Frequencies of known tones.
+    trains_hz : sequence of float
+        Strikes per second of known strike trains. All multiples are left out.
+
+    Returns
+    -------
+    CellSpectrum or None
+        None where the record is too short for its band, or nothing moves in it.
+    """
+    seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
+    seconds = max(seconds / (SHORT_PIECES if seconds < SHORT_S else PIECES_PER_RECORD), MIN_PIECE_S)
+    pieces = Pieces(y, rate_hz, max_seconds=seconds)
+    high = min(band[1], 0.45 * rate_hz)
+    if len(pieces) < 2 or band[0] * pieces.seconds < 4.0 or high < 1.2 * band[0]:
+        return None
+    power, spread, blocks = _piece_spectra(pieces)
+    f = np.arange(power.size) / pieces.seconds
+    inside = (f >= band[0]) & (f <= high)
+    if not np.all(power[inside] > 0.0):
+        return None
+    found = _lines(power, spread, len(pieces), f, tones_hz)
+    line = np.any([found, *(_teeth(f, train) for train in trains_hz)], axis=0)
+    keep = np.flatnonzero(inside & ~line)
+    if keep.size < 32:
+        return None
+    first = _first_of_cells(f[keep] / band[0])
+    bins = np.diff(np.append(first, keep.size))
+    centre = np.add.reduceat(f[keep], first) / bins
+    scale = (2.0 * np.pi * centre) ** (2 * KIND_ORDER[kind])
+    per_block = np.add.reduceat(blocks[:, keep], first, axis=1) / bins * scale
+    return CellSpectrum(
+        f_hz=centre,
+        psd=per_block.mean(axis=0),
+        block_psd=per_block,
+        shape=bins * len(pieces) * TAPER_EFFICIENCY,
+        noise=scale / scale.mean(),
+        bin_hz=1.0 / pieces.seconds,
+        line_hz=_line_frequencies(f, power, line & inside),
+    )
+
+
+def _first_of_cells(ratio: Array) -> NDArray[np.intp]:
+    """(cells,) index of the first bin of each cell. ratio : frequency of each bin over the lower edge of the band."""
+    cell = np.floor(np.log(ratio) / CELL_WIDTH_REL).astype(np.intp)
+    return np.flatnonzero(np.append(True, np.diff(cell) > 0))
+
+
+def _line_frequencies(f: Array, power: Array, line: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Frequency of the strongest bin of each run of bins that were left out."""
+    rows = np.flatnonzero(line)
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
+    return tuple(float(f[run[np.argmax(power[run])]]) for run in runs)
+
+
+def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
+    """(bins,) mean PSD over the pieces, (bins,) logarithm of the mean over the pieces less the mean of the logarithm,
+    averaged over the tapers, and (blocks, bins) PSD of up to sixteen groups of pieces."""
+    k = np.arange(1, TAPERS + 1)[:, None]
+    tapers = np.sqrt(2.0 / (pieces.size + 1)) * np.sin(np.pi * k * np.arange(1, pieces.size + 1) / (pieces.size + 1))
+    rows = []
+    logs = np.zeros(pieces.size // 2 + 1)
+    sums = np.zeros((TAPERS, pieces.size // 2 + 1))
+    for group in pieces.groups():
+        own = np.zeros((len(group), pieces.size // 2 + 1))
+        for total, taper in zip(sums, tapers, strict=True):
+            X = rfft(group * taper, axis=1)
+            P = X.real**2 + X.imag**2
+            own += P
+            total += P.sum(axis=0)
+            logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
+        rows.append(own * (2.0 / (pieces.rate_hz * TAPERS)))
+    every = np.concatenate(rows)
+    power = every.mean(axis=0)
+    spread = np.log(np.maximum(sums / len(pieces), 1e-300)).mean(axis=0) - logs / (len(pieces) * TAPERS)
+    groups = np.array_split(np.arange(len(every)), min(len(every), 16))
+    return power, spread, np.stack([every[g].mean(axis=0) for g in groups])
+
+
+def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
+    """(bins,) bins at multiples of a frequency; none where they are more than half of all, as where slip blurs them."""
+    if not train_hz > 0.0:
+        return np.zeros(f.size, dtype=bool)
+    number = np.maximum(np.round(f / train_hz), 1.0)
+    teeth = np.abs(f - number * train_hz) <= TOOTH_REACH_BINS * f[1] + TOOTH_BLUR_REL * f
+    return np.asarray(teeth & (TOOTH_REACH_BINS * f[1] + TOOTH_BLUR_REL * f < 0.25 * train_hz))
+
+
+def _lines(power: Array, spread: Array, count: int, f: Array, tones_hz: Sequence[float]) -> NDArray[np.bool_]:
+    """(bins,) bins of tones: narrow peaks that are steady from piece to piece, or at the frequency of a known tone."""
+    floor = median_filter(power, 2 * LINE_REACH_BINS + 1, mode="nearest")
+    shape = count * TAPERS
+    limit = gammainccinv(shape, min(LINE_P_VALUE / power.size, 0.1)) / shape
+    high = power > 1.2 * limit * np.maximum(floor, 1e-300)  # the median of few bins is uncertain
+    noise_spread = float(digamma(count)) - np.log(count) + np.euler_gamma  # of exponential variables
+    steady = spread < MAX_STEADY_SPREAD_REL * noise_spread
+    known = np.zeros(power.size, dtype=bool)
+    for tone in tones_hz:
+        at = round(tone * (1.0 / f[1])) if tone < f[-1] else -1
+        if at >= 0:
+            known[max(at - 3, 0) : at + 4] = True
+    out = np.zeros(power.size, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        top = a + int(np.argmax(power[a:b]))
+        reach = MIN_LINE_REACH_BINS + int(SIDELOBE_BINS * (power[top] / max(floor[top], 1e-300)) ** 0.25)
+        if top - a <= reach and b - top <= reach + 1 and (steady[top] or known[top]):
+            out[max(top - reach, 0) : top + reach + 1] = True
+    return out

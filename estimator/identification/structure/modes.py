@@ -1,0 +1,342 @@
+"""Modes in the spectrum of a place, by maximum likelihood of an averaged spectrum.
+
+The PSD of the acceleration is that of oscillators under a smooth force, and white noise of the sensor:
+
+    S_a(f) = exp(P(ln f)) sum_m w_m |H_m(f)|^2 + N n(f),    H_m = -f^2 / (f_m^2 - f^2 + 2 j zeta_m f_m f),
+
+with w_1 = 1 and P a cubic spline; without a mode S_a = exp(P) + N n. Averaged spectra are gamma distributed, and Fisher
+scoring finds the maximum (Whittle 1953; Brillinger, Time Series, 1981, ch. 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.special import chdtri
+
+from estimator.arrays import Array
+
+from .excitation import CellSpectrum
+
+KNOT_OCTAVES = 1.0  # least distance of the knots of P
+KNOT_WIDTHS = 4.0  # least distance of the knots in half-power widths of the strongest mode: P may not bend within it
+BROAD_KNOT_OCTAVES = 2.4  # four half-power widths of a mode of 21 % damping
+MAX_MODES = 8
+MODE_P_VALUE = 1e-4  # of a mode, over all frequencies and widths searched
+WIDTHS_REL = (0.006, 0.012, 0.024, 0.05, 0.1, 0.2)  # half-widths of the humps that are searched for
+MIN_PROMINENCE = 1.0  # power of a mode at its resonance over that of all else there: half of the whole, 3 dB
+DAMPING_LIMITS = (5e-4, 0.3)
+MIN_WIDTH_BINS = 3.0  # half-power width of a mode; narrower is a line
+MAX_STEPS = 25  # of scoring
+MAX_DAMPING_SD_REL = 0.5  # of a mode, as of any parameter that is called identifiable
+MAX_REFUSED = 4  # humps that are no sound mode, before the search ends
+EDGE_REL = 0.04  # of its frequency, that a mode stays away from the ends of the band
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OscillatorFit:
+    """The spectrum of a place as oscillators under a smooth force.
+
+    Parameters
+    ----------
+    f_hz, damping, weight : (modes,) float64
+        Frequency, damping ratio, and squared participation; the first weight is 1.
+    f_sd_hz, damping_sd : (modes,) float64
+        Standard deviations.
+    prominence : (modes,) float64
+        Power at the resonance over that of everything else there.
+    energy : (modes,) float64
+        Share of the kinetic energy in the band: mean square of the velocity.
+    model : (cells,) float64
+        PSD of the fit.
+    force : (cells,) float64
+        exp(P): PSD of the force over the squared mass, (m/s^2)^2/Hz.
+    log_likelihood : float
+        Nats.
+    dispersion : float
+        Variance of the blocks of the spectrum about their mean over that of a stationary Gaussian record.
+    knot_octaves : float
+        Distance of the knots of P.
+    misfit_db : float
+        Rms distance of the spectrum from the fit beyond its scatter, dB.
+    """
+
+    f_hz: Array
+    damping: Array
+    weight: Array
+    f_sd_hz: Array
+    damping_sd: Array
+    prominence: Array
+    energy: Array
+    model: Array
+    force: Array
+    log_likelihood: float
+    dispersion: float
+    knot_octaves: float
+    misfit_db: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Parts:
+    """The model at some values: PSD, its logarithmic derivatives (cells, p), and PSD of each mode (modes, cells)."""
+
+    psd: Array
+    jacobian: Array
+    force: Array
+    modes: Array
+
+
+class _Problem:
+    """The likelihood of a cell spectrum. theta: coefficients of P, ln N, then ln f, ln zeta, ln w of each mode."""
+
+    def __init__(self, cells: CellSpectrum, knot_octaves: float) -> None:
+        self.cells, self.knot_octaves = cells, knot_octaves
+        self.scale = float(np.median(cells.psd))
+        self.P = cells.psd / self.scale
+        x = np.log(cells.f_hz)
+        self.x = x
+        self.basis = _spline_basis(x, knot_octaves)
+        B = cells.block_psd / cells.block_psd.mean(axis=0)
+        n_blocks = len(B)
+        own = np.mean((B - 1.0) ** 2) * n_blocks / max(n_blocks - 1, 1)
+        self.dispersion = max(1.0, float(own / np.mean(n_blocks / cells.shape)))
+        self.nu = cells.shape / self.dispersion
+
+    @property
+    def k(self) -> int:
+        return int(self.basis.shape[1])
+
+    def parts(self, theta: Array) -> _Parts:
+        k, f = self.k, self.cells.f_hz
+        force = np.exp(np.clip(self.basis @ theta[:k], -80.0, 80.0))
+        noise = np.exp(theta[k]) * self.cells.noise
+        tail = theta[k + 1 :].reshape(-1, 3)
+        columns = []
+        modes = np.zeros((len(tail), f.size))
+        for m, (u, z, a) in enumerate(tail):
+            r = (f / np.exp(u)) ** 2
+            zeta2 = np.exp(2.0 * z)
+            D = (1.0 - r) ** 2 + 4.0 * zeta2 * r
+            H2 = r * r / D
+            modes[m] = np.exp(a) * H2
+            # d ln H2 / du with dr/du = -2 r; d ln H2 / dz
+            dln_du = -4.0 - (-2.0 * (1.0 - r) + 4.0 * zeta2) * (-2.0 * r) / D
+            dln_dz = -8.0 * zeta2 * r / D
+            columns += [modes[m] * dln_du, modes[m] * dln_dz, modes[m]]
+        G = modes.sum(axis=0) if len(tail) else np.ones(f.size)
+        psd = force * G + noise
+        J = np.empty((f.size, theta.size))
+        J[:, :k] = self.basis * (force * G / psd)[:, None]
+        J[:, k] = noise / psd
+        for j, column in enumerate(columns):
+            J[:, k + 1 + j] = force * column / psd
+        return _Parts(psd=psd, jacobian=J, force=force, modes=modes * force)
+
+    def log_likelihood(self, psd: Array) -> float:
+        return float(-np.sum(self.nu * (self.P / psd + np.log(psd))))
+
+    def free(self, theta: Array) -> NDArray[np.intp]:
+        """Parameters that are fitted: the weight of the first mode is 1."""
+        return np.delete(np.arange(theta.size), self.k + 3) if theta.size > self.k + 1 else np.arange(theta.size)
+
+    def maximise(self, theta: Array) -> tuple[Array, _Parts, float]:
+        """Fisher scoring with damping from a start."""
+        free, damping = self.free(theta), 1e-3
+        parts = self.parts(theta)
+        value = self.log_likelihood(parts.psd)
+        for _ in range(MAX_STEPS):
+            J = parts.jacobian[:, free]
+            g = J.T @ (self.nu * (self.P / parts.psd - 1.0))
+            F = (J * self.nu[:, None]).T @ J
+            gained = 0.0
+            for _ in range(6):
+                A = F + np.diag(damping * np.diag(F) + 1e-9 * np.trace(F) / len(free) + 1e-12)
+                step = np.zeros(theta.size)
+                step[free] = np.clip(np.linalg.solve(A, g), -1.0, 1.0)
+                new = self._within(theta + step)
+                trial = self.parts(new)
+                trial_value = self.log_likelihood(trial.psd)
+                if trial_value > value:
+                    gained = trial_value - value
+                    theta, parts, value = new, trial, trial_value
+                    damping = max(damping / 5.0, 1e-6)
+                    break
+                damping *= 6.0
+            if gained < 1e-3:
+                break
+        return theta, parts, value
+
+    def _within(self, theta: Array) -> Array:
+        """Values inside their limits."""
+        k, f = self.k, self.cells.f_hz
+        out = theta.copy()
+        out[k] = np.clip(out[k], -60.0, 20.0)
+        tail = out[k + 1 :].reshape(-1, 3)
+        tail[:, 0] = np.clip(tail[:, 0], np.log(f[0]), np.log(f[-1]))
+        tail[:, 1] = np.clip(tail[:, 1], np.log(DAMPING_LIMITS[0]), np.log(DAMPING_LIMITS[1]))
+        tail[:, 2] = np.clip(tail[:, 2], -40.0, 40.0)
+        return out
+
+    def smooth_start(self) -> Array:
+        """P by least squares on the logarithm; noise far below."""
+        coefficients = np.linalg.lstsq(self.basis, np.log(self.P), rcond=None)[0]
+        return np.append(coefficients, np.log(self.P.min()) - 3.0)
+
+    def hump(self, psd: Array, banned: Sequence[float]) -> tuple[float, float]:
+        """ln f and ln zeta of the most significant hump of the spectrum over a fit. banned : ln f that are left out."""
+        weight = np.concatenate([[0.0], np.cumsum(self.nu)])
+        excess = np.concatenate([[0.0], np.cumsum(self.nu * (self.P / psd - 1.0))])
+        x, best = self.x, (-np.inf, 0.0, 0.0)
+        for half in WIDTHS_REL:
+            a, b = np.searchsorted(x, x - half), np.searchsorted(x, x + half, side="right")
+            z = (excess[b] - excess[a]) / np.sqrt(weight[b] - weight[a])
+            z[(x < x[0] + EDGE_REL) | (x > x[-1] - EDGE_REL)] = -np.inf
+            for u in banned:
+                z[np.abs(x - u) < EDGE_REL] = -np.inf
+            at = int(np.argmax(z))
+            if z[at] > best[0]:
+                best = (float(z[at]), float(x[at]), float(np.log(0.6 * half)))
+        return best[1], best[2]
+
+    def with_mode(self, theta: Array, parts: _Parts, banned: Sequence[float]) -> Array:
+        """A start with one mode more, at the largest hump. banned : ln f that are left out."""
+        u, z = self.hump(parts.psd, banned)
+        z = max(z, float(np.log(2.0 * DAMPING_LIMITS[0])))
+        k = self.k
+        at = int(np.argmin(np.abs(self.x - u)))
+        zeta2 = np.exp(2.0 * z)
+        if theta.size == k + 1:
+            r = np.exp(2.0 * (self.x - u))
+            H2 = r * r / ((1.0 - r) ** 2 + 4.0 * zeta2 * r)
+            rest = np.log(np.maximum(self.P - np.exp(theta[k]) * self.cells.noise, 0.3 * self.P) / H2)
+            near = 1.0 / (1.0 + H2)  # the smooth force is read off the resonance
+            c = np.linalg.lstsq(self.basis * np.sqrt(near)[:, None], rest * np.sqrt(near), rcond=None)[0]
+            return np.concatenate([c, [np.log(0.5 * np.quantile(self.P / self.cells.noise, 0.01))], [u, z, 0.0]])
+        extra = max(float(self.P[at] / parts.psd[at]) - 1.0, 0.1) * parts.psd[at] / parts.force[at]
+        return np.concatenate([theta, [u, z, np.log(extra * 4.0 * zeta2)]])
+
+    def covariance(self, parts: _Parts, free: NDArray[np.intp]) -> Array:
+        """Of the free parameters: the larger of that of the information, and that from the scores of the blocks."""
+        J = parts.jacobian[:, free]
+        F = (J * self.nu[:, None]).T @ J
+        C = np.linalg.pinv(F, hermitian=True)
+        B = self.cells.block_psd / self.scale
+        if len(B) < 6:
+            return np.asarray(C, dtype=np.float64)
+        nu = self.cells.shape / self.dispersion / len(B)
+        scores = ((B / parts.psd - self.P / parts.psd) * nu) @ J
+        sandwich = C @ (scores.T @ scores * len(B) / (len(B) - 1)) @ C
+        sd, other = np.sqrt(np.diag(C).clip(0.0)), np.sqrt(np.diag(sandwich).clip(0.0))
+        grow = np.maximum(other / np.maximum(sd, 1e-300), 1.0)
+        return np.asarray(C * np.outer(grow, grow), dtype=np.float64)
+
+
+def _spline_basis(x: Array, knot_octaves: float) -> Array:
+    """(cells, k) cubic B-splines of ln f with uniform knots."""
+    pieces = max(1, int((x[-1] - x[0]) / np.log(2.0) / knot_octaves + 0.5))
+    inner = np.linspace(x[0], x[-1], pieces + 1)
+    knots = np.concatenate([[x[0]] * 3, inner, [x[-1] + 1e-9] * 3])
+    knots[-4] = x[-1] + 1e-9
+    return np.asarray(BSpline.design_matrix(x, knots, 3).toarray())
+
+
+def fit_oscillators(cells: CellSpectrum, max_modes: int = MAX_MODES) -> list[OscillatorFit]:
+    """Fits with 0, 1, 2 ... modes, each one significant; the last one is the answer.
+
+    A further mode is significant at `MODE_P_VALUE` over all frequencies and widths searched, lies inside the band, is
+    wider than a line, and has at least half of the power at its resonance.
+    """
+    fits = _with_knots(cells, KNOT_OCTAVES, max_modes)
+    if len(fits) == 1 and cells.f_hz[-1] > 2.0**BROAD_KNOT_OCTAVES * cells.f_hz[0]:
+        return _with_knots(cells, BROAD_KNOT_OCTAVES, 1)  # friction may damp a mode so much that P passes for it
+    for _ in range(2):
+        top = fits[-1]
+        widest = 2.0 * float(top.damping[np.argmax(top.energy)]) if top.f_hz.size else 0.0
+        if KNOT_WIDTHS * widest <= np.log(2.0) * top.knot_octaves:
+            break
+        fits = _with_knots(cells, KNOT_WIDTHS * widest / np.log(2.0), max_modes)
+    return fits
+
+
+def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> list[OscillatorFit]:
+    """Fits with 0, 1, 2 ... modes at one distance of the knots of P."""
+    problem = _Problem(cells, knot_octaves)
+    theta, parts, value = problem.maximise(problem.smooth_start())
+    fits = [_fit(problem, theta, parts, value)]
+    trials = sum(problem.x[-1] - problem.x[0] for _ in WIDTHS_REL) / min(WIDTHS_REL)
+    needed = 0.5 * float(chdtri(3, MODE_P_VALUE / max(trials, 1.0)))
+    banned: list[float] = []
+    while len(fits) <= max_modes and len(banned) < MAX_REFUSED:
+        start = problem.with_mode(theta, parts, banned)
+        new, new_parts, new_value = problem.maximise(start)
+        if new_value - value < needed:
+            break
+        fit = _fit(problem, new, new_parts, new_value)
+        if not _is_sound(cells, fit):
+            banned.append(float(start[-3]))
+            continue
+        theta, parts, value = new, new_parts, new_value
+        fits.append(fit)
+    return fits
+
+
+def _is_sound(cells: CellSpectrum, fit: OscillatorFit) -> bool:
+    """Whether every mode lies inside the band, is wider than a line, and stands out."""
+    low, high = cells.f_hz[0] * (1.0 + EDGE_REL), cells.f_hz[-1] * (1.0 - EDGE_REL)
+    width = 2.0 * fit.damping * fit.f_hz
+    return bool(
+        np.all((fit.f_hz > low) & (fit.f_hz < high))
+        and np.all(width > MIN_WIDTH_BINS * cells.bin_hz)
+        and np.all(fit.damping < 0.99 * DAMPING_LIMITS[1])
+        and np.all(fit.damping_sd < MAX_DAMPING_SD_REL * fit.damping)
+        and np.all(fit.prominence > MIN_PROMINENCE)
+    )
+
+
+def _fit(problem: _Problem, theta: Array, parts: _Parts, value: float) -> OscillatorFit:
+    """The numbers of a maximum."""
+    k, cells = problem.k, problem.cells
+    tail = theta[k + 1 :].reshape(-1, 3)
+    free = problem.free(theta)
+    C = problem.covariance(parts, free)
+    sd = np.zeros(theta.size)
+    sd[free] = np.sqrt(np.diag(C).clip(0.0))
+    f, zeta = np.exp(tail[:, 0]), np.exp(tail[:, 1])
+    at = [int(np.argmin(np.abs(problem.x - u))) for u in tail[:, 0]]
+    own = np.array([parts.modes[m, i] for m, i in enumerate(at)])
+    prominence = own / np.maximum(parts.psd[at] - own, 1e-12 * own) if len(at) else own
+    ratio = problem.P / parts.psd
+    smoothed, scatter = _smoothed(np.log(np.maximum(ratio, 1e-12)), problem)
+    misfit = np.sqrt(max(float(np.mean(smoothed**2 - scatter)), 0.0))
+    order = np.argsort(f)
+    df = np.gradient(cells.f_hz) / cells.f_hz**2
+    tail_sd = sd[k + 1 :].reshape(-1, 3)
+    return OscillatorFit(
+        f_hz=f[order],
+        damping=zeta[order],
+        weight=np.exp(tail[order, 2]),
+        f_sd_hz=(f * tail_sd[:, 0])[order],
+        damping_sd=(zeta * tail_sd[:, 1])[order],
+        prominence=prominence[order],
+        energy=(parts.modes @ df / (parts.psd @ df))[order],
+        model=parts.psd * problem.scale,
+        force=parts.force * problem.scale,
+        log_likelihood=value,
+        dispersion=problem.dispersion,
+        knot_octaves=problem.knot_octaves,
+        misfit_db=10.0 / np.log(10.0) * misfit,
+    )
+
+
+def _smoothed(log_ratio: Array, problem: _Problem) -> tuple[Array, Array]:
+    """Means of the logarithm over 1 % of the frequency, each with its expected square by the scatter of the cells."""
+    x = problem.x
+    a, b = np.searchsorted(x, x - 0.005), np.searchsorted(x, x + 0.005, side="right")
+    w = np.concatenate([[0.0], np.cumsum(problem.nu)])
+    s = np.concatenate([[0.0], np.cumsum(problem.nu * log_ratio)])
+    weight = w[b] - w[a]
+    return np.asarray((s[b] - s[a]) / weight), np.asarray(1.0 / weight)

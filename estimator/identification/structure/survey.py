@@ -1,0 +1,353 @@
+"""The structure layer of a record: modes in the band, and the spectrum of what excites them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.identification.record import RecordSurvey
+from estimator.model.rig import MOTION, Model
+from estimator.parallel import map_threads
+
+from .excitation import CellSpectrum, cell_spectrum
+from .modes import OscillatorFit, fit_oscillators
+
+EXCITATION_POINTS = 48  # of the spectrum of the excitation, log-spaced
+SIMILAR_ENERGY = 0.1  # of the strongest mode's: a mode with less is 10 dB below it
+MIN_ENERGY_SHARE = 0.5  # of the kinetic energy in the band, that the rig's own modes hold
+MAX_MISFIT_DB = 1.0  # rms of the spectrum from that of the oscillators: instruments have +-10 % (ISO 2954)
+SAME_MODE_RATIO = 2.0**0.5  # of frequencies: the two directions of a cap differ by less, so do parts of a nonlinear one
+STABLE_FREQUENCY_REL, STABLE_DAMPING_REL = 0.01, 0.2  # from one number of modes to the next
+
+
+class ToneSurveyed(Protocol):
+    """What the structure layer asks of a tone."""
+
+    @property
+    def frequency_hz(self) -> float: ...
+
+
+class MachineSurveyed(Protocol):
+    """What the structure layer asks of the machine layer: tones, and strike trains by the strikes per second."""
+
+    @property
+    def tones(self) -> Sequence[ToneSurveyed]: ...
+
+    @property
+    def strikes(self) -> Sequence[ToneSurveyed]: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mode:
+    """A resonance in the spectrum of a place.
+
+    Parameters
+    ----------
+    place : str
+        Such as "bearing1.x".
+    frequency_hz, frequency_sd : float
+        Undamped natural frequency and its standard deviation, Hz.
+    damping, damping_sd : float
+        Damping ratio and its standard deviation.
+    energy_share : float
+        Share of the kinetic energy of the place in the band.
+    bearing : bool
+        Whether it can be the mode of the cap on its bearing.
+    """
+
+    place: str
+    frequency_hz: float
+    frequency_sd: float
+    damping: float
+    damping_sd: float
+    energy_share: float
+    bearing: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `modes` in the JSON of a diagnosis."""
+        names = ("place", "frequency_hz", "frequency_sd", "damping", "damping_sd", "bearing")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExcitationSpectrum:
+    """Smooth spectrum of the force per mass that drives the modes of a place; without a mode, of the acceleration.
+
+    Parameters
+    ----------
+    frequency_hz : (points,) float64
+        Log-spaced frequencies in the band, Hz.
+    psd : (points,) float64
+        One-sided PSD, (m/s^2)^2/Hz.
+    """
+
+    frequency_hz: Array
+    psd: Array
+
+    def to_json(self) -> dict[str, list[float]]:
+        """Frequencies and PSD as lists."""
+        return {"frequency_hz": self.frequency_hz.tolist(), "psd": self.psd.tolist()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolePoint:
+    """A pole of the fit with some number of modes, for a stabilisation diagram.
+
+    Parameters
+    ----------
+    order : int
+        Number of modes of the fit.
+    frequency_hz, damping : float
+        Hz, and damping ratio.
+    stable : bool
+        Whether the fit with one mode less has it too.
+    """
+
+    order: int
+    frequency_hz: float
+    damping: float
+    stable: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaceStructure:
+    """What the spectrum of one place holds.
+
+    Parameters
+    ----------
+    channel : str
+        Name of the channel.
+    modes : tuple of Mode
+        By frequency.
+    excitation : ExcitationSpectrum
+        What drives the modes.
+    cells : CellSpectrum
+        The spectrum that was fitted, without tones.
+    model : (cells,) float64
+        PSD of the fit.
+    poles : tuple of PolePoint
+        For a stabilisation diagram.
+    misfit_db : float
+        Rms distance of the spectrum from the fit beyond its scatter, dB.
+    expected : int
+        Modes that the rig itself has at the place: its cap, the cap at the other end of the shaft, and the disc.
+    driven : bool
+        Whether a force is measured at the place.
+    """
+
+    channel: str
+    modes: tuple[Mode, ...]
+    excitation: ExcitationSpectrum
+    cells: CellSpectrum
+    model: Array
+    poles: tuple[PolePoint, ...]
+    misfit_db: float
+    expected: int = 1
+    driven: bool = False
+
+    @property
+    def similar(self) -> tuple[Mode, ...]:
+        """Modes with at least a tenth of the energy of the strongest."""
+        top = max((m.energy_share for m in self.modes), default=0.0)
+        return tuple(m for m in self.modes if m.energy_share >= SIMILAR_ENERGY * top)
+
+    @property
+    def resonances(self) -> int:
+        """Number of these modes, those nearer than half an octave to each other counted once."""
+        return count_apart([m.frequency_hz for m in self.similar])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StructureSurvey:
+    """Modes of a record, and what excites them.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Analysed band, Hz.
+    places : mapping of str to PlaceStructure
+        By place. A place whose record is too short, or whose channel is unusable, is absent.
+    missing : mapping of str to str
+        Why a place is absent, one line.
+    """
+
+    band: tuple[float, float]
+    places: Mapping[str, PlaceStructure] = field(default_factory=dict)
+    missing: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of all places."""
+        return tuple(m for own in self.places.values() for m in own.modes)
+
+    @property
+    def excitation(self) -> Mapping[str, ExcitationSpectrum]:
+        """Spectrum of the excitation by place."""
+        return {place: own.excitation for place, own in self.places.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """The part `structure` of the result of `diagnose`."""
+        return {
+            "modes": [mode.to_json() for mode in self.modes],
+            "excitation": {place: spectrum.to_json() for place, spectrum in self.excitation.items()},
+        }
+
+
+def survey_structure(
+    model: Model, y: Array, rate_hz: float, record: RecordSurvey, machine: MachineSurveyed | None = None
+) -> StructureSurvey:
+    """Modes in the band of each place, with the spectrum of what excites them.
+
+    Parameters
+    ----------
+    model : Model
+        The rig: channels, band, shaft, and masses as far as they are known.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``; NaN where a sample is missing.
+    rate_hz : float
+        Sampling rate, Hz.
+    record : RecordSurvey
+        Findings of the record layer; unusable channels are left out.
+    machine : MachineSurvey or None
+        Its tones and the lines of its strike trains are left out of the spectra.
+
+    Returns
+    -------
+    StructureSurvey
+        Nothing is raised.
+
+    References
+    ----------
+    Brillinger, Time Series, 1981, ch. 5; Bendat and Piersol, Random Data, 4th ed., ch. 6.
+    """
+    tones = () if machine is None else tuple(tone.frequency_hz for tone in machine.tones)
+    trains = () if machine is None else tuple(train.frequency_hz for train in machine.strikes)
+    columns: dict[str, int] = {}
+    for k, channel in enumerate(model.channels):
+        if channel.kind in MOTION and channel.place in model.places and channel.name not in record.unusable:
+            columns.setdefault(channel.place, k)
+    forces = {c.place for c in model.channels if c.kind == "force" and c.name not in record.unusable}
+
+    def at(place: str) -> PlaceStructure | None:
+        k = columns[place]
+        cells = cell_spectrum(y[:, k], model.channels[k].kind, rate_hz, model.band, tones, trains)
+        if cells is None:
+            return None
+        expected = expected_modes(model, place)
+        return _place(place, model.channels[k].name, cells, expected, place in forces)
+
+    found = dict(zip(columns, map_threads(at, list(columns)), strict=True)) if np.ndim(y) == 2 else {}
+    missing = {place: "its channel is unusable: see the record" for place in model.places if place not in columns}
+    missing |= {p: "the record is too short for the band, or nothing moves in it" for p in found if found[p] is None}
+    places = {place: own for place, own in found.items() if own is not None}
+    return StructureSurvey(band=model.band, places=places, missing=missing)
+
+
+def expected_modes(model: Model, place: str) -> int:
+    """Modes that the rig has in the direction of a place: its caps on their bearings, and the disc on the shaft."""
+    if model.shaft == "none":
+        return 1
+    return 2 + ("disc" in model.mass)
+
+
+def bearing_mode(survey: StructureSurvey, place: str) -> Mode | str:
+    """The mode that can be that of the cap on its bearing, or why there is none, one line.
+
+    One oscillator under a smooth force must explain the spectrum of the place, as must the oscillators that the rig
+    file has: cap, other cap and disc on a shaft. A record with further modes of similar energy does not tell which one
+    is the bearing's.
+
+    Parameters
+    ----------
+    survey : StructureSurvey
+        What the structure layer says of the record.
+    place : str
+        Such as "bearing1.x".
+    """
+    own = survey.places.get(place)
+    low, high = survey.band
+    if own is None:
+        return f"{place}: {survey.missing.get(place, 'not measured')}"
+    band = f"the band {low:g}-{high:g} Hz of {own.channel}"
+    marked = next((m for m in own.modes if m.bearing), None)
+    if marked is not None:
+        return marked
+    advice = "give masses or narrow the band"
+    if not own.modes:
+        return f"{band} holds no clear resonance: choose a band around that of the bearing"
+    if own.resonances > own.expected:
+        count = len(own.similar)
+        return f"{band} holds {count} modes of similar strength; none can be attributed to the bearing: {advice}"
+    share = sum(m.energy_share for m in own.similar)
+    if share < MIN_ENERGY_SHARE:
+        return f"the resonance in {band} holds only {100 * share:.0f} % of its energy: {advice}"
+    return (
+        f"{band} is not explained by an oscillator under a smooth force, it departs by {own.misfit_db:.1f} dB; "
+        f"no mode can be attributed to the bearing: {advice}"
+    )
+
+
+def _place(place: str, channel: str, cells: CellSpectrum, expected: int, driven: bool) -> PlaceStructure:
+    """The structure seen at one place."""
+    fits = fit_oscillators(cells)
+    last = fits[-1]
+    chosen = _bearing_index(last, expected, driven)
+    modes = tuple(
+        Mode(
+            place=place,
+            frequency_hz=float(last.f_hz[m]),
+            frequency_sd=float(last.f_sd_hz[m]),
+            damping=float(last.damping[m]),
+            damping_sd=float(last.damping_sd[m]),
+            energy_share=float(last.energy[m]),
+            bearing=m == chosen,
+        )
+        for m in range(last.f_hz.size)
+    )
+    f = np.geomspace(cells.f_hz[0], cells.f_hz[-1], EXCITATION_POINTS)
+    psd = np.exp(np.interp(np.log(f), np.log(cells.f_hz), np.log(np.maximum(last.force, 1e-300))))
+    return PlaceStructure(
+        channel=channel,
+        modes=modes,
+        excitation=ExcitationSpectrum(frequency_hz=f, psd=psd),
+        cells=cells,
+        model=last.model,
+        poles=_poles(fits),
+        misfit_db=last.misfit_db,
+        expected=expected,
+        driven=driven,
+    )
+
+
+def _bearing_index(fit: OscillatorFit, expected: int, driven: bool) -> int | None:
+    """Number of the mode that can be the bearing's: the strongest, where the rig explains all that are as strong.
+
+    Beside a measured force the shape of the spectrum is that of the force, and not asked.
+    """
+    if not fit.f_hz.size:
+        return None
+    top = int(np.argmax(fit.energy))
+    near = fit.energy >= SIMILAR_ENERGY * fit.energy[top]
+    clear = count_apart(fit.f_hz[near]) <= expected and fit.misfit_db <= MAX_MISFIT_DB
+    return top if driven or (clear and np.sum(fit.energy[near]) >= MIN_ENERGY_SHARE) else None
+
+
+def count_apart(f_hz: Sequence[float] | Array) -> int:
+    """Number of frequencies, those nearer than half an octave to the next one counted once."""
+    ratios = np.diff(np.log(np.sort(f_hz)))
+    return int(np.count_nonzero(ratios > np.log(SAME_MODE_RATIO))) + (len(f_hz) > 0)
+
+
+def _poles(fits: Sequence[OscillatorFit]) -> tuple[PolePoint, ...]:
+    """Poles by number of modes, and whether the fit with one mode less has them."""
+    out = []
+    for before, fit in zip(fits, fits[1:], strict=False):
+        for f, zeta in zip(fit.f_hz, fit.damping, strict=True):
+            near = np.abs(before.f_hz / f - 1.0) < STABLE_FREQUENCY_REL
+            stable = bool(np.any(near & (np.abs(before.damping / zeta - 1.0) < STABLE_DAMPING_REL)))
+            out.append(PolePoint(order=fit.f_hz.size, frequency_hz=float(f), damping=float(zeta), stable=stable))
+    return tuple(out)
