@@ -82,11 +82,14 @@ class DisturbanceForce:
 
 
 def disturbance_forces(findings: Sequence[Finding]) -> list[DisturbanceForce]:
-    """The forces of all significant findings; of rival causes of one spectrum only the likeliest counts."""
+    """The forces of significant findings; of rival causes of one spectrum only the likeliest counts.
+
+    A periodic force does not count: its lines are left out of the force balance.
+    """
     out: list[DisturbanceForce] = []
     spectral: dict[int, tuple[float, DisturbanceForce]] = {}
     for f in findings:
-        if f.p_value > MAX_P_VALUE:
+        if f.p_value > MAX_P_VALUE or found_by(f.effect) == "harmonics":
             continue
         for place, power_N2 in f.power_N2.items():
             force = DisturbanceForce(place=place, against=f.against, region=f.region, power_N2=power_N2)

@@ -3,7 +3,20 @@
 from .bearing_theory import Theory, kinematics, taylor, theory
 from .effect import Effect, EffectParameter
 from .recorder import AntiAlias
-from .rig import DIRECTIONS, MOTION, NODES, UNITS, BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting, Shaft
+from .rig import (
+    DIRECTIONS,
+    MOTION,
+    NODES,
+    UNITS,
+    BearingGeometry,
+    Channel,
+    CustomLaw,
+    EffectUse,
+    LineBand,
+    Model,
+    Setting,
+    Shaft,
+)
 
 __all__ = [
     "AntiAlias",
@@ -14,6 +27,7 @@ __all__ = [
     "Effect",
     "EffectParameter",
     "EffectUse",
+    "LineBand",
     "MOTION",
     "Model",
     "NODES",

@@ -142,6 +142,28 @@ class EffectUse:
         return tuple(self.parameters)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineBand:
+    """A narrow line of a record, whose bins no force balance judges.
+
+    Parameters
+    ----------
+    low_hz, high_hz : float
+        Edges of the band that the line may be in.
+    power_over_psd_hz : float
+        Power of the line over the power spectral density of the noise about it, Hz.
+    """
+
+    low_hz: float
+    high_hz: float
+    power_over_psd_hz: float
+
+    @property
+    def centre_hz(self) -> float:
+        """Middle of the band, Hz."""
+        return 0.5 * (self.low_hz + self.high_hz)
+
+
 @dataclass(frozen=True, slots=True)
 class Model:
     """The whole rig.
@@ -174,6 +196,8 @@ class Model:
         All effects of the model.
     candidates : tuple of EffectUse
         Laws of the user that are not in the model, but on trial when it is diagnosed.
+    line_bands : tuple of LineBand
+        Narrow lines found in the record, which are left out of the force balance.
     name : str
         Of the rig, for the user.
     anti_alias : AntiAlias or None
@@ -193,6 +217,7 @@ class Model:
     linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: NO_SETTINGS)
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
+    line_bands: tuple[LineBand, ...] = ()
     name: str = ""
     anti_alias: AntiAlias | None = None
 

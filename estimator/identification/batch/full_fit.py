@@ -16,6 +16,7 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.identification.machine import harmonic_fit, stiffness_order
+from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.search import search
 from estimator.identification.structure import (
     spectral_models,
@@ -119,7 +120,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     DataError
         The record is too short, or a place without a measured force does not resonate in the band.
     """
-    given = with_measured_speed(model, y, rate_hz)
+    given = with_lines_left_out(with_measured_speed(model, y, rate_hz), y, rate_hz)
     model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
     full = _fit_with_stiffness_order(model, y, rate_hz)
     _refuse_without_resonance(full.point)

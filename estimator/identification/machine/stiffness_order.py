@@ -119,7 +119,8 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
 
     def clearest(i: int) -> tuple[float, float]:
         """Gain (nats) and frequency (Hz) of the highest line at location i."""
-        force = _without_lines(point.force[i]) if data.measured_force_psd[i] > 0.0 else point.force[i]
+        has_lines = bool(data.lines) or data.measured_force_psd[i] > 0.0
+        force = _without_lines(point.force[i]) if has_lines else point.force[i]
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
@@ -140,7 +141,7 @@ def order_trials(point: WorkingPoint) -> float:
 
 
 def _without_lines(force: Array) -> Array:
-    """A measured force (n,) N without its spectral lines.
+    """A force (n,) N without its spectral lines.
 
     Lines of the force make lines in the motion and in every product F x. A varying stiffness makes no line in the
     force.

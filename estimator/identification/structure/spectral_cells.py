@@ -112,7 +112,7 @@ def mean_power(point: WorkingPoint, i: int) -> Array:
     """(bins,) mean |F|^2 of the force at location i, N^2/Hz."""
     Z = point.spectra[i].reshape(point.data.blocks, -1, 2)
     power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.whitening.weight[i]
-    return np.asarray(power if point.whitening.ringing is None else power / point.whitening.ringing.kept[i])
+    return np.asarray(power if point.whitening.leakage is None else power / point.whitening.leakage.kept[i])
 
 
 def finite_exp(z: Array) -> Array:

@@ -115,17 +115,27 @@ def fundamental_hz(effect: Effect, own: Mapping[str, Setting], model: Model) -> 
     return value if effect.state == "time" else rotation * value
 
 
+def _fundamentals(model: Model) -> list[tuple[Effect, float]]:
+    """The model's periodic effects at each place, and Hz at which their angle turns; 0 where that is not known."""
+    return [
+        (effect, fundamental_hz(effect, written(effect, use, model, key), model))
+        for use in model.effects if use.name in PERIODIC_EFFECTS
+        for effect in (NAMED[use.name],) for key in at(effect, use, model)
+    ]  # fmt: skip
+
+
 def known_lines(model: Model) -> list[float]:
     """Hz of the lines that the model's own effects make, whether their strength is known or not."""
     out: dict[float, None] = {}
-    for use in model.effects:
-        if use.name in PERIODIC_EFFECTS:
-            effect = NAMED[use.name]
-            orders = 1 + np.flatnonzero(present_harmonics(effect, MAX_HARMONICS))
-            for key in at(effect, use, model):
-                hz = fundamental_hz(effect, written(effect, use, model, key), model)
-                out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
+    for effect, hz in _fundamentals(model):
+        orders = 1 + np.flatnonzero(present_harmonics(effect, MAX_HARMONICS))
+        out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
     return list(out)
+
+
+def has_unknown_line(model: Model) -> bool:
+    """Whether a periodic effect of the model has a frequency that is not known."""
+    return any(hz == 0.0 for _, hz in _fundamentals(model))
 
 
 def cap_force_per_shaft_force(model: Model, place: str, omega: Array) -> Complexes:

@@ -16,6 +16,9 @@ from .force_balance import shaft_notch
 # effects that shape a spectrum: of the force, or of the motion where the record is not corrected; the former alone
 SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None)
 FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind == "excitation")
+LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window, and one bin more
+
+LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window, and one bin more
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -27,11 +30,14 @@ def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArra
 
 
 def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
-    """Indices of the bins of a block spectrum that are fitted: the band without the disc's resonance."""
+    """Indices of the bins of a block spectrum that are fitted: the band without narrow lines and a breathing shaft."""
     f = np.fft.rfftfreq(block, 1 / rate_hz)
+    lobe = LINE_LOBE_BINS * rate_hz / block
     inside = (f >= model.band[0]) & (f <= model.band[1])
     if notch := shaft_notch(model):
         inside &= (f < notch[0]) | (f > notch[1])
+    for line in model.line_bands:
+        inside &= (f < line.low_hz - lobe) | (f > line.high_hz + lobe)
     return np.flatnonzero(inside)
 
 

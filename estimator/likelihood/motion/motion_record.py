@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
 from estimator.model.disc import Disc
+from estimator.model.rig import LineBand
 from estimator.signals.band_limit import noise_shape
 
 from .harmonics import BelowBandForce, PeriodicForce
@@ -57,6 +58,7 @@ class MotionRecord:
     level : (places, blocks) power of the excitation over its mean; None if it is constant.
     disc : the disc on its shaft; None without one.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
+    lines : narrow lines of the record in the band, whose bins are left out.
     """
 
     places: tuple[str, ...]
@@ -90,6 +92,7 @@ class MotionRecord:
     level: Array | None = None
     disc: Disc | None = None
     below_band_force: Series | None = None
+    lines: tuple[LineBand, ...] = ()
 
     @property
     def measured_force(self) -> bool:

@@ -27,6 +27,7 @@ from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_r
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_blocks
 
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
 MAX_RECORD_S = 240.0  # of a record that are kept (10 MB/s), in TIME_FOLDS stretches spread over the whole
 
 
@@ -92,6 +93,7 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * TIME_FOLDS // starts.size, TIME_FOLDS - 1)
     bins = fitted_bins(model, rate_hz, block)
+    _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionRecord(
@@ -100,8 +102,19 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model),
         periodic_below_band=below_band_forces(model, places), below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
+        lines=tuple(b for b in model.line_bands if model.band[0] < b.centre_hz < model.band[1]),
         **_spectra_of_model(model, f),
     )  # fmt: skip
+
+
+def _refuse_only_lines(model: Model, fitted_hz: float) -> None:
+    """Raise DataError where narrow lines fill most of the band. fitted_hz : width of what they leave, Hz."""
+    low, high = model.band
+    if model.line_bands and fitted_hz < MIN_FITTED_SHARE * (high - low):
+        raise DataError(
+            f"narrow lines fill {1 - fitted_hz / (high - low):.0%} of the band {low:.0f}-{high:.0f} Hz: the "
+            "bearings are judged by random vibration between the lines; widen the band"
+        )
 
 
 def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) -> BandLimitedRecord:

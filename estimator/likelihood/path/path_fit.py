@@ -113,7 +113,7 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: W
     total = sum(len(c.names) for c in whitened)
     G = np.zeros((P, TIME_FOLDS, 1 + total, 1 + total))
     n = np.zeros((P, TIME_FOLDS))
-    kept = np.ones_like(whitening.weight) if whitening.ringing is None else whitening.ringing.kept
+    kept = np.ones_like(whitening.weight) if whitening.leakage is None else whitening.leakage.kept
     log_weight = np.zeros((P, TIME_FOLDS))
 
     def at_place(i: int) -> None:

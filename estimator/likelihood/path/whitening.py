@@ -14,7 +14,7 @@ from estimator.likelihood.response.regressor_set import Regressor, regressor_res
 from estimator.parallel import map_threads
 
 from .determinant import tangent_times
-from .disc_ringing import Ringing, ringing
+from .line_leakage import Leakage, line_leakage
 from .sensor_noise import SensorNoise
 
 Spectrum = NDArray[np.float32]
@@ -46,8 +46,8 @@ class Whitening:
 
     data : the motion. noise : sensor noise referred to force, with the weights. s : (bins,) rad/s, line of the
     determinant. measured : (bins, places, places), factor from a response to the motion to the response to the measured
-    motion; None where they are the same. ringing : of the disc, taken out of the spectra; None where no disc resonates
-    in the band.
+    motion; None where they are the same. leakage : of narrow lines, taken out of the spectra; None where no line
+    is strong.
     """
 
     data: MotionRecord
@@ -57,7 +57,7 @@ class Whitening:
     _root: NDArray[np.float32] = field(init=False)  # (places, 2 bins), of real and imaginary parts
     _bins: slice | NDArray[np.int64] = field(init=False)
     _level_root: list[Spectrum] | None = field(init=False)
-    ringing: Ringing | None = field(init=False)
+    leakage: Leakage | None = field(init=False)
 
     def __post_init__(self) -> None:
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
@@ -66,7 +66,7 @@ class Whitening:
         self._level_root = None if self.data.level is None else [
             (1.0 / np.sqrt(self.relative_psd(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
         ]  # fmt: skip
-        self.ringing = ringing(self.data, self._root)
+        self.leakage = line_leakage(self.data, self._root)
         self._root = np.repeat(self._root, 2, axis=1)
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
@@ -94,8 +94,8 @@ class Whitening:
             part, made = z[a : a + BLOCKS_PER_FFT], out[a : a + BLOCKS_PER_FFT]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(self._in_band(np.asarray(rfft(part, axis=1))).view(np.float32), root, out=made)
-            if self.ringing is not None:
-                self.ringing.take_out(i, made)
+            if self.leakage is not None:
+                self.leakage.take_out(i, made)
             if self._level_root is not None:
                 made.view(np.complex64)[...] *= self._level_root[i][first + a : first + a + len(made)]
         return out

@@ -201,7 +201,7 @@ def point_at(
     G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
-    kept = None if whitening.ringing is None else whitening.ringing.kept.mean(axis=0)
+    kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
     jacobian = Jacobian(along_line(A), s, correction * there[:, None], kept)
     prior = _prior_information(data, G, uses)
     result = _fit_near(G, jacobian, data.fold_blocks, prior)

@@ -69,7 +69,7 @@ def test_the_order_is_as_certain_as_it_says() -> None:
     n, rate, speed = 1 << 16, 12800.0, 300.0
     t = np.arange(n) / rate
     data = SimpleNamespace(
-        speed=speed, rate_hz=rate, phase=speed * t, t=t, places=("a",), measured_force_psd=np.zeros(1)
+        speed=speed, rate_hz=rate, phase=speed * t, t=t, places=("a",), measured_force_psd=np.zeros(1), lines=()
     )
     scores = []
     for order in rng.uniform(2.1, 3.9, 60):

@@ -40,13 +40,13 @@ def survey_of(x: Array, speed_rpm: float | None = 1500.0) -> MachineSurvey:
 
 def test_speed_and_orders_come_from_the_record() -> None:
     n = int(10 * RATE_HZ)
-    x = coloured_noise(n) + tone(24.7, 0.2, n) + tone(49.4, 0.1, n) + tone(60.0, 0.1, n) + tone(1234.4, 0.1, n)
+    x = coloured_noise(n) + tone(24.7, 0.2, n) + tone(49.4, 0.1, n) + tone(60.0, 0.1, n) + tone(1222.2, 0.1, n)
     s = survey_of(x)
     assert s.speed is not None
     assert s.speed.source == "record"
     assert s.speed.value_rpm == pytest.approx(60 * 24.7, abs=4 * s.speed.sd_rpm)
     named = {(t.kind, round(t.frequency_hz)): t for t in s.tones}
-    assert set(named) == {("order", 25), ("order", 49), ("mains", 60), ("other", 1234)}
+    assert set(named) == {("order", 25), ("order", 49), ("mains", 60), ("other", 1222)}
     first = named["order", 25]
     assert first.order == 1.0
     assert first.unit == "m/s^2"
