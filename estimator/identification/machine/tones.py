@@ -103,12 +103,13 @@ def _resolved(lines: Iterable[Line]) -> list[Line]:
 
 
 def _at_finest(group: Sequence[Line]) -> Line:
-    """The first line of a group, at the frequency that the finest resolution gives."""
+    """The first line of a group, at the frequency that the finest resolution gives; narrow if it is so at any."""
     finest = min(line.half_width_hz for line in group)
     lines = [line for line in group if line.half_width_hz == finest]
     hz, power = np.array([line.hz for line in lines]), np.array([line.amplitude**2 for line in lines])
     mean = float(hz @ power / power.sum())
-    return replace(group[0], hz=mean, half_width_hz=max(finest, float(np.abs(hz - mean).max())))
+    narrow = any(line.narrow for line in group)
+    return replace(group[0], hz=mean, half_width_hz=max(finest, float(np.abs(hz - mean).max())), narrow=narrow)
 
 
 def without_strike_lines(
