@@ -303,13 +303,12 @@ class Forces:
         """Strikes that fade within a few steps, of the share of the bearing force in their rms."""
         machine, dt = self.machine, 1.0 / self.rate
         s, now = machine.scene, self.strikes[(self.strikes[:, 0] >= t[0]) & (self.strikes[:, 0] < t[-1] + dt)]
-        fade = max(2 * dt, 0.1 / s.band[1])
         pulses = np.zeros(len(t))
         np.add.at(pulses, np.minimum(((now[:, 0] - t[0]) / dt).astype(int), len(t) - 1), now[:, 1])
-        pulses, self.ring = signal.lfilter([1.0], [1.0, -np.exp(-dt / fade)], pulses, zi=self.ring)
+        pulses, self.ring = signal.lfilter([1.0], [1.0, -np.exp(-dt / s.fade_s)], pulses, zi=self.ring)
         per_s = s.strikes["order"] * s.rpm / 60
         size = machine.size["bearing1.x"]
-        height = s.share * size.kL * size.x / np.sqrt(per_s * fade / 2)
+        height = s.strikes["share"] * size.kL * size.x / np.sqrt(per_s * s.fade_s / 2)
         for d, part in (("x", 1.0), ("y", 0.6)):
             if f"bearing1.{d}" in machine.at:
                 out[:, self.pushed.index(machine.at[f"bearing1.{d}"])] += height * part * pulses

@@ -29,6 +29,7 @@ RATES_HZ = (1600.0, 2048.0, 2560.0, 4096.0, 5000.0, 8000.0, 10000.0, 12800.0, 20
 MAX_SAMPLES = 16_000_000  # of all channels: memory at the inner rate
 MIN_NATS = 60.0  # of an effect, given all the rest: less is not to be seen by anybody
 MIN_SHARE, MAX_SHARE = 0.03, 0.25  # of the rms bearing force
+MIN_LINE = 60.0  # power over the floor that each line of strikes has in the squared envelope, if they came evenly
 MIN_DAMPING_OF_WHIRL = 0.04  # of a rotor that a circulating force drives: with less, a share of 3 % is not stable
 
 
@@ -126,6 +127,11 @@ class Scene:
         return np.random.default_rng([self.seed, KINDS.index(self.kind), use])
 
     @property
+    def fade_s(self) -> float:
+        """Time in which a strike fades: short beside the band."""
+        return max(2 / self.rate_hz / self.keep, 0.1 / self.band[1])
+
+    @property
     def orders(self) -> dict[str, float]:
         """Strikes a turn by name, contact angle 0."""
         n, g = self.balls, self.ratio
@@ -157,7 +163,10 @@ def draw(kind: str, seed: int, seconds: tuple[float, float], effects: tuple[str,
     if "local_defect" in wanted:
         name = str(rng.choice(["BPFO", "BPFI", "2BSF"]))
         slip = rng.uniform(0.0, 0.02)
+        ratio = np.sqrt(MIN_LINE / scene.seconds / (scene.band[1] - scene.band[0]))  # of powers, strikes over force
+        heard = float(np.sqrt(ratio * 8 * zeta / w / (4 * scene.fade_s)))
         strikes = {
+            "share": max(log_uniform(rng, MIN_SHARE, 4 * MIN_SHARE), heard),
             "name": name, "order": scene.orders[name] * (1 - slip), "slip": slip,
             "jitter": log_uniform(rng, 1e-3, 1e-2), "modulated": 0.0 if name == "BPFO" else rng.uniform(0.2, 0.8),
         }  # fmt: skip

@@ -61,7 +61,7 @@ def test_a_tone_at_the_shaft_has_the_amplitude_that_the_receptance_gives() -> No
 def test_strikes_come_at_their_order_with_slip() -> None:
     """The envelope of a record has its strongest line within the first harmonics at the order that the truth says."""
     scene = draw("one", 0, (10.0, 11.0), ("local_defect",))
-    scene = still(replace(scene, rpm=1200.0, share=3.0, strikes=scene.strikes | {"modulated": 0.0}), wander=0.0)
+    scene = still(replace(scene, rpm=1200.0, strikes=scene.strikes | {"modulated": 0.0, "share": 3.0}), wander=0.0)
     rate, order = scene.rate_hz * scene.keep, scene.strikes["order"]
     assert order == pytest.approx(scene.orders[scene.strikes["name"]] * (1 - scene.strikes["slip"]))
     moved = Machine(replace(scene, seconds=4.0)).moved()
