@@ -21,6 +21,7 @@ from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
 SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed than the rig file says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
 SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
+TACHO_SD_TURNS = 0.02  # of the angle between the first and the last pulse: width of an edge, spline beyond it
 NAMEPLATE_REACH_REL = 0.03  # about the given speed: slip of an induction motor between no load and overload
 NAMEPLATE_SD_REL = 0.01  # of a given speed that the record does not confirm: usual slip
 CONTRADICTION_REL = 0.02  # between the record and the rig file, from which it is said: beyond the usual slip
@@ -80,22 +81,28 @@ def _contradiction(hz: float, sd: float, given: float) -> list[Message]:
     return [Message(SPEED_CONTRADICTED, text)]
 
 
-def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
-    """Mean speed by the tacho, with the standard deviation of the speed along the record; None without pulses."""
+def tacho_angle(model: Model, y: Array, rate_hz: float) -> Array | None:
+    """(n,) rad, angle of the shaft by the tacho; None without a tacho or without pulses. y : (n, channels)."""
     try:
         phase = measured_phase(model, y, rate_hz)
     except DataError:
         return None
-    if phase is None or phase.size < 2:
+    return phase if phase is not None and phase.size > 1 and phase[-1] > phase[0] else None
+
+
+def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
+    """Mean speed by the tacho, with the standard deviation of the speed along the record; None without pulses."""
+    phase = tacho_angle(model, y, rate_hz)
+    if phase is None:
         return None
     rows = max(1, min(int(rate_hz), (phase.size - 1) // 4))
     local = np.diff(phase[::rows]) * rate_hz / rows / (2 * np.pi)
     hz = float(phase[-1] - phase[0]) / (2 * np.pi) * rate_hz / (phase.size - 1)
     if hz <= 0.0:
         return None
-    sd = hz * rows / phase.size  # of half a pulse at either end, at most
+    sd = TACHO_SD_TURNS * rate_hz / phase.size
     wander = float(local.std()) / hz
-    return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * min(sd, 0.1 * hz), source="tacho", wander_rel=wander)
+    return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="tacho", wander_rel=wander)
 
 
 def _comb(

@@ -36,6 +36,7 @@ from .combs import (
 from .envelope import BANDS_PER_RATE, MAX_PIECE_S, envelope_spectra
 from .machine_survey import ShaftSpeed, StrikeName, StrikeTrain
 from .pieces import Pieces
+from .speed import tacho_angle
 from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
 
 MAX_SLIP_REL = 0.02  # of a kinematic order: slip of balls and the contact angle under load
@@ -105,9 +106,13 @@ def find_strikes(
         text = "strike trains are not looked for: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
         return [], [Message(NO_SPEED_NO_STRIKES, text)]
     tables: list[LineTable] = []
+    angle = tacho_angle(model, y, rate_hz)
+    if angle is not None:
+        speed = replace(speed, wander_rel=0.0)
     avoided, avoided_sd = _avoided(speed)
     for name, i in columns.items():
-        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz, MAX_PIECE_S)
+        samples = np.asarray(y[:, i], dtype=np.float64)
+        pieces = Pieces(samples if angle is None else _at_mean_speed(samples, angle), rate_hz, MAX_PIECE_S)
         for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, bank):
             tables += line_tables(name, spectrum, avoided, avoided_sd)
     log_tables = float(np.log(max(len(tables), 1)))
@@ -122,6 +127,13 @@ def find_strikes(
     if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
         return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)
     return [], []
+
+
+def _at_mean_speed(samples: Array, angle: Array) -> Array:
+    """(n,) samples at equal steps of the shaft angle (n,) rad: what they would be at the mean speed throughout."""
+    row = np.arange(angle.size, dtype=np.float64)
+    at = np.interp(np.linspace(angle[0], angle[-1], angle.size), angle, row)
+    return np.asarray(np.interp(at, row, samples), dtype=np.float64)
 
 
 def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:

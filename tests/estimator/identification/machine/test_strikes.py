@@ -103,6 +103,25 @@ def test_a_defect_is_found_in_a_live_block() -> None:
     assert strikes_of_block(MODEL, noise(3)[:, None], RATE_HZ) == ()
 
 
+def test_a_tacho_follows_a_speed_that_wanders() -> None:
+    rows = int(RATE_HZ * SECONDS)
+    t = np.arange(rows) / RATE_HZ
+    turns = SHAFT_HZ * (t + 0.03 * np.sin(2 * np.pi * 0.25 * t))
+    even = noise(3) + strikes(BPFO, 2.0, 4, 0.0)
+    x = np.interp(turns / SHAFT_HZ, t, even)
+    tacho = (turns % 1.0 < 0.1).astype(float)
+    model = Model(
+        channels=(*MODEL.channels, Channel("n", "shaft", "", "tacho")), band=MODEL.band, bearing=BEARING
+    )  # fmt: skip
+    s = survey_machine(model, np.column_stack([x, tacho]), RATE_HZ)
+    assert s.speed is not None
+    assert s.speed.source == "tacho"
+    assert s.speed.value_rpm == pytest.approx(60 * SHAFT_HZ, rel=1e-2)
+    (train,) = s.strikes
+    assert train.name == "BPFO"
+    assert train.order == pytest.approx(BPFO, rel=3e-3)
+
+
 def test_without_a_speed_no_train_is_named() -> None:
     s = survey_machine(Model(channels=MODEL.channels, band=MODEL.band, bearing=BEARING), noise(1)[:, None], RATE_HZ)
     assert s.strikes == ()
