@@ -11,7 +11,7 @@ from estimator.model.rig import Model
 from estimator.results import Fit
 from estimator.signals.shaft_angle import measured_phase
 
-from .record import survey_record, usable_record
+from .judgeable import judgeable_record, survey_layers
 
 Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 
@@ -55,7 +55,7 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     >>> abs(stiffness.value - 1.0e7) < 4.0 * stiffness.sd
     True
     """
-    usable = usable_record(model, y, survey_record(model, y, rate_hz))
+    usable = judgeable_record(model, y, survey_layers(model, y, rate_hz))
     result = _FIT_METHODS[method](usable.model, usable.y, rate_hz)
     parameters = dict(result.parameters) | dict(usable.parameters)
     return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))

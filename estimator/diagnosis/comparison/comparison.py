@@ -8,7 +8,7 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.record import survey_record, usable_record
+from estimator.identification.judgeable import judgeable_record, survey_layers
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.model.rig import Model
@@ -116,7 +116,7 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Comparison:
     """Fit the model, then survey, free run, twin and curves."""
     say(0.0, "fit")
-    usable = usable_record(model, y, survey_record(model, y, rate_hz))
+    usable = judgeable_record(model, y, survey_layers(model, y, rate_hz))
     model, y = usable.model, usable.y
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape
@@ -15,10 +15,12 @@ from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.machine import MachineSurvey, survey_machine
-from estimator.identification.record import RecordSurvey, record_messages, survey_record, usable_record
+from estimator.identification.judgeable import Layers, judgeable_record, survey_layers
+from estimator.identification.machine import MachineSurvey
+from estimator.identification.record import RecordSurvey, record_messages
+from estimator.identification.structure import StructureSurvey
 from estimator.model.rig import Model
-from estimator.results import NOT_JUDGED, Message, messages_json
+from estimator.results import NOT_JUDGED, RIG_FILE, Message, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
@@ -28,14 +30,6 @@ BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the la
 MAX_MESSAGES = 10  # more are not read
 
 
-class Survey(Protocol):
-    """What a layer says of a record."""
-
-    def to_json(self) -> dict[str, Any]:
-        """The layer's part of the result of diagnose."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
     """What is said of a record: four layers, each of which stands without the later ones, and their verdict.
@@ -43,7 +37,7 @@ class Diagnosis:
     Parameters
     ----------
     verdict : str
-        Name of an effect, "complete" or "unknown".
+        Name of an effect, "complete", "unknown" or "rig_file".
     ranking : tuple of Entry
         Candidates with their evidence, best first.
     shape : Shape or None
@@ -56,8 +50,8 @@ class Diagnosis:
         Whether the record is fit to be judged.
     machine : MachineSurvey
         Tones and strike trains.
-    structure : Survey or None
-        Modes and excitation; None where these were not sought.
+    structure : StructureSurvey
+        Modes and excitation.
     bearing : BearingJudgement
         Laws of the bearings, or why they are not judged.
     """
@@ -69,12 +63,11 @@ class Diagnosis:
     messages: tuple[Message, ...] = ()
     record: RecordSurvey
     machine: MachineSurvey
-    structure: Survey | None = None
+    structure: StructureSurvey
     bearing: BearingJudgement
 
     def to_json(self) -> dict[str, Any]:
         """The result of diagnose, by its schema."""
-        layers: dict[str, Survey | None] = {"record": self.record, "machine": self.machine, "structure": self.structure}
         out: dict[str, Any] = {
             "schema": 1,
             "verdict": self.verdict,
@@ -82,7 +75,11 @@ class Diagnosis:
             "separates": self.separates,
             "bearing": {"judged": self.bearing.judged, "reason": self.bearing.reason},
         } | messages_json(self.messages)
-        out |= {name: survey.to_json() for name, survey in layers.items() if survey is not None}
+        out |= {
+            "record": self.record.to_json(),
+            "machine": self.machine.to_json(),
+            "structure": self.structure.to_json(),
+        }
         return out if self.shape is None else out | {"shape": self.shape.to_json()}
 
 
@@ -125,37 +122,34 @@ def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | Non
     """
     say = progress or quiet
     say(0.0, "channels, tones and strikes")
-    record = survey_record(model, y, rate_hz)
-    machine = survey_machine(model, y, rate_hz, record)
-    bearing = bearing_layer(model, y, rate_hz, record, say)
-    return verdict_of_layers(model, record, machine, None, bearing)
+    layers = survey_layers(model, y, rate_hz)
+    return verdict_of_layers(model, layers, bearing_layer(model, y, rate_hz, layers, say))
 
 
-def bearing_layer(model: Model, y: Array, rate_hz: float, record: RecordSurvey, say: Progress) -> BearingJudgement:
+def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: Progress) -> BearingJudgement:
     """The judgement of the bearings; it says why where the record does not carry one.
 
-    y : (n, channels), SI. record : findings on the channels. say : progress.
+    y : (n, channels), SI. layers : those before. say : progress.
     """
     say(0.0, "fit of the model as it is")
     try:
-        usable = usable_record(model, y, record)
+        usable = judgeable_record(model, y, layers)
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
         found = judge_bearing(whole.model, whole.point, usable.y, say)
         found = replace(found, messages=(*found.messages, *whole.messages))
     except DataError as problem:
         found = BearingJudgement.not_judged(str(problem))
-    return with_clipped_channels(found, model, y, record)
+    return with_clipped_channels(found, model, y, layers.record)
 
 
-def verdict_of_layers(
-    model: Model, record: RecordSurvey, machine: MachineSurvey, structure: Survey | None, bearing: BearingJudgement
-) -> Diagnosis:
+def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement) -> Diagnosis:
     """The verdict of all layers.
 
     A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
     shaft's angle, which modulates the vibration at its own order. Imbalance and misalignment go before what is only the
     trace of a tone. A line is named only where no model of the bearings explains the record.
     """
+    record, machine = layers.record, layers.machine
     there = {use.name for use in model.effects}
     signal = [*strike_entries(model, machine), *shaft_entries(model, record, machine)]
     if not bearing.judged:
@@ -174,7 +168,7 @@ def verdict_of_layers(
         messages=_messages(record, machine, bearing, verdict),
         record=record,
         machine=machine,
-        structure=structure,
+        structure=layers.structure,
         bearing=bearing,
     )
 
@@ -183,7 +177,7 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     """Whether the verdict of the bearing layer stands beside the first candidate of the signal."""
     effect = NAMED.get(bearing.verdict)
     if effect is None:
-        return False
+        return bearing.verdict == RIG_FILE
     if effect.name == first.effect or first.effect == LINE.name:
         return True
     if effect.found_by != "law":

@@ -16,7 +16,7 @@ from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.finding import effect_use
-from estimator.identification.record import survey_record, usable_record
+from estimator.identification.judgeable import judgeable_record, survey_layers
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -119,12 +119,12 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     >>> improvement.last.verdict, len(improvement.rungs)
     ('complete', 1)
     """
-    record = survey_record(model, y, rate_hz)
-    usable = usable_record(model, y, record)
+    layers = survey_layers(model, y, rate_hz)
+    usable = judgeable_record(model, y, layers)
     found = improvement(usable.model, usable.y, rate_hz, progress or quiet)
     known = [use for use in model.effects if found_by(use.name) == "samples"]
     rungs = [replace(r, effects=(*r.effects, *(use.name for use in known))) for r in found.rungs]
-    named = with_clipped_channels(found.last, model, y, record)
+    named = with_clipped_channels(found.last, model, y, layers.record)
     diagnoses, parameters = list(found.diagnoses), found.parameters | dict(usable.parameters)
     if named.verdict != found.last.verdict:  # nothing else is to be added: its channel is left out already
         clipped = named.ranking[0]

@@ -105,7 +105,7 @@ def _squared_envelope_power(X: NDArray[np.complex64], bins: int) -> Array:
 
     X : (pieces, bins of the band). The transforms are as long as lags up to `bins` need.
     """
-    n = next_fast_len(X.shape[1] + bins, real=True)
+    n = next_fast_len(max(X.shape[1] + bins, 2 * bins), real=True)
     z = ifft(X, n, axis=1)
     P = X.real**2 + X.imag**2
     mean = np.maximum(P.sum(axis=1, keepdims=True) / n, 1e-30)  # n times the mean of the squared envelope

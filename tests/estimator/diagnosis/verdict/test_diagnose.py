@@ -16,8 +16,10 @@ from estimator import Channel, DataError, EffectUse, Model, compare, diagnose, f
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
+from estimator.identification.judgeable import Layers
 from estimator.identification.machine import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
 from estimator.identification.record import ChannelSummary, RecordSurvey
+from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
 from estimator.results import NOT_JUDGED, Message
 
@@ -36,9 +38,12 @@ def bad_records() -> Iterator[Any]:
     n = round(4 * RATE)
     noise = np.random.default_rng(0).standard_normal((n, 2))
     gaps = np.where(((np.arange(n) // 256) % 2 == 1)[:, None], np.nan, noise)
+    t = np.arange(n)[:, None] / RATE
+    tones = np.sin(2 * np.pi * 30 * t) + 0.3 * np.sin(2 * np.pi * 777 * t + [0, 1])
+    yield pytest.param(tones + 0.01 * noise, "no mode can be attributed", id="tones")
     yield pytest.param(noise, "resonance", id="noise")
-    yield pytest.param(noise[: round(0.1 * RATE)], "0.1 s", id="0.1 s")
-    yield pytest.param(gaps, "gaps", id="half of it gaps")
+    yield pytest.param(noise[: round(0.1 * RATE)], "resonance", id="0.1 s")
+    yield pytest.param(gaps, "resonance", id="half of it gaps")
     yield pytest.param(noise * [1, 0], "resonance", id="one channel")
     yield pytest.param(np.sign(noise), "one bit", id="one bit")
     yield pytest.param(noise[:0], "no valid samples", id="empty")
@@ -101,7 +106,8 @@ def verdict(
     levels = {c.name: ChannelSummary(rms=rms, velocity_rms_mm_s=10.0) for c in model.channels}
     speed = ShaftSpeed(value_rpm=1800.0, sd_rpm=0.6, source="record")
     machine = MachineSurvey(speed=speed, tones=tones, strikes=trains)
-    return verdict_of_layers(model, RecordSurvey(channels=levels), machine, None, bearing)
+    layers = Layers(record=RecordSurvey(channels=levels), machine=machine, structure=StructureSurvey(band=model.band))
+    return verdict_of_layers(model, layers, bearing)
 
 
 NOT = BearingJudgement.not_judged("no resonance")

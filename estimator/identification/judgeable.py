@@ -1,0 +1,62 @@
+"""The layers before any fit of a model, and what they leave of a record for the judgement of the bearings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from estimator.arrays import Array
+from estimator.errors import DataError
+from estimator.model.rig import MOTION, Model
+
+from .machine import MachineSurvey, survey_machine
+from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record
+from .structure import StructureSurvey, bearing_mode, survey_structure
+
+NO_BEARING_MODE = "no_bearing_mode"  # code: no mode of a place can be the bearing's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layers:
+    """What a record shows without a fit of the bearings.
+
+    Parameters
+    ----------
+    record : RecordSurvey
+        Channels and their faults.
+    machine : MachineSurvey
+        Speed, tones, strike trains.
+    structure : StructureSurvey
+        Modes, and what excites them.
+    """
+
+    record: RecordSurvey
+    machine: MachineSurvey
+    structure: StructureSurvey
+
+
+def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
+    """The layers of a record. y : (n, channels), SI. Nothing is raised."""
+    record = survey_record(model, y, rate_hz)
+    machine = survey_machine(model, y, rate_hz, record)
+    structure = survey_structure(model, y, rate_hz, record, machine)
+    return Layers(record=record, machine=machine, structure=structure)
+
+
+def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
+    """The record without condemned channels, and without places where no mode can be the bearing's.
+
+    y : (n, channels), SI. Raises DataError, one line, where no place is left: the first reason.
+    """
+    channels_of = {p: tuple(c.name for c in model.channels if c.place == p and c.kind in MOTION) for p in model.places}
+    sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
+    found = []
+    for place, channels in sound.items():
+        reason = bearing_mode(layers.structure, place)
+        if isinstance(reason, str):
+            own = RecordFinding(
+                code=NO_BEARING_MODE, channels=channels, text=reason, places=(place,), condemned=channels
+            )
+            found.append(own)
+    if found and len(found) == len(sound):
+        raise DataError(found[0].text)
+    return usable_record(model, y, replace(layers.record, findings=(*layers.record.findings, *found)))
