@@ -40,7 +40,7 @@ def bad_records() -> Iterator[Any]:
     gaps = np.where(((np.arange(n) // 256) % 2 == 1)[:, None], np.nan, noise)
     t = np.arange(n)[:, None] / RATE
     tones = np.sin(2 * np.pi * 30 * t) + 0.3 * np.sin(2 * np.pi * 777 * t + [0, 1])
-    yield pytest.param(tones + 0.01 * noise, "no mode can be attributed", id="tones")
+    yield pytest.param(tones + 0.01 * noise, "resonance", id="tones")
     yield pytest.param(noise, "resonance", id="noise")
     yield pytest.param(noise[: round(0.1 * RATE)], "resonance", id="0.1 s")
     yield pytest.param(gaps, "resonance", id="half of it gaps")
