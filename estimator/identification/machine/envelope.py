@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
 
 from estimator.arrays import Array
 
@@ -62,11 +63,12 @@ class EnvelopeSpectrum:
 
 
 def envelope_spectra(
-    pieces: Pieces, highest_hz: float, bank: tuple[int, ...] = BANDS_PER_RATE
-) -> list[EnvelopeSpectrum]:  # fmt: skip
+    pieces: Pieces, highest_hz: float, level_s: float, bank: tuple[int, ...] = BANDS_PER_RATE
+) -> list[EnvelopeSpectrum]:
     """Spectra of the squared envelope up to a frequency in every band of a bank.
 
-    pieces : of one channel. bank : numbers of equal bands that share the range up to half the rate.
+    pieces : of one channel. level_s : time over which the level is made equal, longer than any period of interest.
+    bank : numbers of equal bands that share the range up to half the rate.
     """
     if not len(pieces):
         return []
@@ -74,7 +76,8 @@ def envelope_spectra(
     edges = list(_bands(pieces, highest_hz, bank))
     sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
     for group in pieces.groups():
-        X = (rfft(group, axis=1) * gain).astype(np.complex64)
+        even = _at_one_level(irfft(rfft(group, axis=1) * gain, pieces.size, axis=1), int(level_s * pieces.rate_hz))
+        X = rfft(even, axis=1).astype(np.complex64)
         for total, (a, b) in zip(sums, edges, strict=True):
             total += _squared_envelope_power(X[:, a:b], total.shape[1])
     return [
@@ -122,6 +125,13 @@ def _squared_envelope_power(X: NDArray[np.complex64], bins: int) -> Array:
 def _before(lags: NDArray[Any]) -> NDArray[Any]:
     """(pieces, k) values one lag before each, of a function of the lag that is conjugate-even about 0."""
     return np.concatenate([lags[:, 1:2].conj(), lags[:, :-1]], axis=1)
+
+
+def _at_one_level(x: Array, rows: int) -> Array:
+    """(pieces, size) samples over their level, smoothed over some rows: a level that changes is no strike train."""
+    rows = max(3, min(rows, x.shape[1] // 4))
+    level = uniform_filter1d(uniform_filter1d(x**2, rows, axis=1, mode="nearest"), rows, axis=1, mode="nearest")
+    return np.asarray(x / np.sqrt(np.maximum(level, 1e-3 * level.mean(axis=1, keepdims=True) + 1e-60)))
 
 
 def _whitening(pieces: Pieces) -> Array:

@@ -44,6 +44,7 @@ GRID_PER_BIN = 2.0  # trial positions of the highest harmonic in a bin
 MIN_FREE_ORDER, MAX_FREE_ORDER = 0.3, 12.0  # of a train that has no kinematic name
 FREE_PEAKS, FREE_DIVISORS = 30, (1, 2, 3)  # lines that a free search starts from; which harmonic each may be
 HIGHEST_ORDER = 45.0  # of the shaft, up to which envelopes are analysed
+LEVEL_TURNS = 10.0  # of the shaft over which the level is made equal: some turns of the cage
 MAX_FALSE_TRAIN_CHANCE = 1e-3  # of one false train in a record
 MAX_ENVELOPE_MAINS_MULTIPLE = 4
 WANDER_REACH_SDS = 2.5  # standard deviations of a wandering speed to which the lines of its orders reach
@@ -113,7 +114,7 @@ def find_strikes(
     for name, i in columns.items():
         samples = np.asarray(y[:, i], dtype=np.float64)
         pieces = Pieces(samples if angle is None else _at_mean_speed(samples, angle), rate_hz, MAX_PIECE_S)
-        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, bank):
+        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank):
             tables += line_tables(name, spectrum, avoided, avoided_sd)
     log_tables = float(np.log(max(len(tables), 1)))
     limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))

@@ -46,6 +46,10 @@ def strikes(order: float, size: float, seed: int, jitter: float = 0.01, load_ord
     return out[:rows]
 
 
+def white(seed: int) -> Array:
+    return np.random.default_rng(seed).standard_normal(int(4 * SECONDS) + 2)
+
+
 def survey_of(x: Array) -> MachineSurvey:
     return survey_machine(MODEL, x[:, None], RATE_HZ)
 
@@ -85,6 +89,14 @@ def test_a_smooth_modulation_is_no_strike_train() -> None:
 
 def test_noise_has_no_strikes() -> None:
     assert not any(survey_of(noise(seed)).strikes for seed in range(20, 26))
+
+
+def test_a_level_that_changes_is_no_strike_train() -> None:
+    t = np.arange(int(RATE_HZ * SECONDS)) / RATE_HZ
+    lines = sum(np.cos(2 * np.pi * k * BPFO * SHAFT_HZ * t + k) * noise(k + 40) for k in range(9, 14))
+    for seed in range(3):
+        level = np.exp(0.5 * np.interp(t, np.arange(0.0, SECONDS + 0.5, 0.25), white(seed)))
+        assert survey_of(level * (noise(seed) + 0.1 * lines)).strikes == ()
 
 
 def test_short_pieces_are_enough() -> None:
