@@ -69,7 +69,10 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
         there = list(file.channels_db.get(name, ()))
         if not there and own and group.isdecimal():  # as the message below has it
             there = [place for place in file.channels_db.get(own, ()) if place[0] == int(group)]
-            places[name] = (own, *there[0]) if there else ()
+            if len(there) > 1 and not _same(file, own, there):
+                twice[name] = f"{own} is in group {group} {len(there)} times, with other data each time; rename them"
+            else:
+                places[name] = (own, *there[0]) if there else ()
         elif len(there) > 1 and not _same(file, name, there):
             groups = ", ".join(f"{g}{_named(file, g)}" for g, _ in there[:6])
             text = f"{name} is in {len(there)} groups of the file, {groups}, with other data in each"
@@ -88,9 +91,10 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
         if len(s.timestamps) != len(time) or not np.array_equal(s.timestamps, time):
             raise Told(f"{n} was not sampled at the same times as {first}; resample them to one time first")
     units = {n: s.unit for n, s in signals.items() if s.unit}
+    time_name = _time_name(file, first, places[first][1])
     begun = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
     started = round(begun * 1e6) * 1000 if begun > OLDEST_S else None
-    return Found({n: s.samples for n, s in signals.items()} | others, [], time, units, started=started, twice=twice)
+    return Found({n: s.samples for n, s in signals.items()} | others, [], time, units, time_name, started, twice)
 
 
 def _same(file: Any, name: str, places: Sequence[tuple[int, int]]) -> bool:
@@ -117,6 +121,16 @@ def _over_time(file: Any, name: str, group: int) -> None:
         over = MASTER_KINDS[kind] if kind < len(MASTER_KINDS) else "something else"
         text = f'{name} was recorded over {over} (master channel "{master.name}"), not over time'
         raise Told(f"{text}; resample it to time, and export it again")
+
+
+def _time_name(file: Any, name: str, group: int) -> str:
+    """What to call the time of a group, with its unit: some write ms into a master that should be in s."""
+    master = file.groups[group].channels[file.masters_db[group]]
+    unit = str(getattr(master, "unit", "") or "").strip()
+    if isinstance(time_unit("time", unit), str):
+        text = f'{name} was recorded over "{master.name}" in {unit}, which is no unit of time'
+        raise Told(f"{text}; resample it to time, and export it again")
+    return f"time [{unit}]" if unit else "time [s]"
 
 
 def _mat(path: Path, names: Sequence[str]) -> Found:
@@ -146,7 +160,13 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
 def _fields(name: str, value: Any, level: int = 0) -> Iterator[tuple[str, Any]]:
     """Leaves of a struct: "data.x"."""
     fields = getattr(getattr(value, "dtype", None), "names", None)
-    if fields and np.size(value) == 1 and level < MOST_LEVELS:
+    named = {plain(own): own for own in fields or ()}
+    key = next((named[k] for k in ("name", "label") if k in named), None)
+    data = next((named[k] for k in ("data", "values", "y") if k in named), None)
+    if key and data and np.size(value) > 1 and isinstance(value, np.ndarray):  # channels as an array of structs
+        for record in value.ravel():
+            yield f"{name}.{record[key]}", record[data]
+    elif fields and np.size(value) == 1 and level < MOST_LEVELS:
         record = value.item() if isinstance(value, np.ndarray) else value
         for k, own in enumerate(fields):
             yield from _fields(f"{name}.{own}", record[k], level + 1)
@@ -158,7 +178,7 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
     """Arrays and numbers by their paths. A name that is the end of one path only is enough."""
     picked, twice = {}, {}
     for name in names:
-        ends = [p for p in leaves if p == name] or [p for p in leaves if p.rpartition(separator)[2] == name]
+        ends = [p for p in leaves if p == name] or [p for p in leaves if _end(p, separator) == name]
         if len(ends) > 1:
             text = f"{name} is there {len(ends)} times, as {', '.join(ends[:5])}"
             twice[name] = f'{text}; say which one by alias = "{ends[0]}" of its channel in the rig file'
@@ -182,6 +202,14 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
     if time is not None and time.dtype.kind not in "iufM":
         time = None if rates else time
     return Found(values | others, rates, time, {}, time_name, started, twice)
+
+
+def _end(path: str, separator: str) -> str:
+    """The name at the end of a path; the samples of "b1x.data" are those of b1x."""
+    home, _, end = path.rpartition(separator)
+    while home and plain(end) in ("data", "values", "value", "signals"):
+        home, _, end = home.rpartition(separator)
+    return end
 
 
 def _beside(home: str, homes: set[str]) -> bool:

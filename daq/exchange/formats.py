@@ -18,7 +18,7 @@ from daq.base.console.memory import bounded_memory
 from daq.base.contract.errors import LogError
 
 from . import child
-from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit
+from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit, titled
 from .csv_file import read_csv
 from .uff_file import read_uff
 from .wav_file import read_wav
@@ -109,7 +109,8 @@ def one_rate(path: Path, rates: Sequence[tuple[str, float]]) -> float | None:
 
 def with_time(path: Path, columns: Columns, name: str, time: Column) -> Columns:
     """With a time vector of this name, in s from here on."""
-    unit, time = time_unit(name, columns.units.get(name, "")), np.squeeze(np.asarray(time))
+    title, in_title = titled(name)
+    unit, time = time_unit(title, in_title or columns.units.get(name, "")), np.squeeze(np.asarray(time))
     if isinstance(unit, str):
         raise LogError(f'{path}: {name} is in "{unit}", which is no unit of time; write s, ms, us, ns, min or h')
     if time.dtype.kind == "M":

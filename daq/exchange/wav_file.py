@@ -44,8 +44,11 @@ def read_wav(path: Path, names: Sequence[str]) -> Columns:
     units = about.get("units")
     if isinstance(units, list) and len(units) == len(names):  # one of our own exports
         return Columns(values, float(rate), None, dict(zip(names, map(str, units), strict=True)), started_ns=started_ns)
-    normal = bool(data.size) and float(np.nanmax(np.abs(data))) <= 1.0
-    return Columns(values, float(rate), full_scale_counts=1 if normal else None, started_ns=started_ns)
+    largest = float(np.nanmax(np.abs(data))) if data.size else 0.0
+    if largest <= 1.0:
+        return Columns(values, float(rate), full_scale_counts=1, started_ns=started_ns)
+    odd = f"its samples are floats up to {largest:.3g}: taken as values in the rig's units, not as parts of full scale"
+    return Columns(values, float(rate), odd=odd, started_ns=started_ns)
 
 
 def _about(texts: dict[bytes, bytes]) -> dict[str, Any]:

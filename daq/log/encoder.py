@@ -80,7 +80,7 @@ class LogEncoder:
         info = next((e for e in early if isinstance(e, Info)), about.info if about else None)
         first_ns = 0
         if block is not None:
-            first_ns = block.t_host_ns - (round(1e9 * len(block.counts) / info.rate_hz) if info else 0)
+            first_ns = block.t_host_ns - (round(1e9 * (len(block.counts) - 1) / info.rate_hz) if info else 0)
         offset_ns = self._recorded.wall_offset_ns if self._recorded else None
         known = offset_ns is not None or first_ns >= SINCE_2001_NS
         if offset_ns is None:
@@ -234,7 +234,7 @@ class LogEncoder:
         last = blocks[-1]
         wall_ns = last.t_host_ns + self._wall_offset_ns
         if not self._axis_ns:
-            self._axis_ns = wall_ns - round((last.index + len(last.counts)) * 1e9 / self._info.rate_hz)
+            self._axis_ns = wall_ns - round((last.index + len(last.counts) - 1) * 1e9 / self._info.rate_hz)
         self._last_ns = wall_ns
         stop = last.index + len(last.counts)
         if self._chunk_index is not None and stop - self._chunk_index > self._most_rows:

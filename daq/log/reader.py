@@ -333,7 +333,7 @@ class _Said:
             case RawBlock():
                 self.first = entry.index if self.first is None else self.first
                 if not self._first_ns and self.info is not None:
-                    rows = entry.index - self.first + entry.part_rows[0]
+                    rows = entry.index - self.first + entry.part_rows[0] - 1  # the part came with its last row
                     self._first_ns = entry.part_host_ns[0] - round(1e9 * rows / self.info.rate_hz)
                 self.stop = entry.stop
                 if self._deviation:

@@ -31,6 +31,8 @@ def conversion(channel: ChannelTable, stated: str = "") -> Conversion:
     """
     own = canonical(channel.unit)
     unit = canonical(stated) or own
+    if stated.isupper() and canonical(stated.lower()) in UNITS_OF_KIND[channel.kind] and unit not in VOLTS_OF_UNIT:
+        unit = canonical(stated.lower())  # "MM/SEC", as old analysers write
     known = unit in UNITS_OF_KIND[channel.kind] or unit in VOLTS_OF_UNIT
     if not stated and channel.sensitivity is not None and own not in VOLTS_OF_UNIT:
         text = f'has a sensitivity and the unit "{channel.unit}" in the rig file, and the file says no unit'

@@ -29,8 +29,9 @@ SI_UNIT = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS_OF_
 OF_LAWS = frozenset(("m", "s", "kg", "N", "Hz", "rad", "J", "W", "Pa"))  # of a law's parameters
 _UNIT_SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
 _OTHER_SPELLINGS = MappingProxyType(
-    {"gn": "g", "g_n": "g", "G": "g", "gravity": "g", "mG": "mg", "micron": "um", "inch": "in", "ips": "in/s",
-     "mils": "mil", "volt": "V", "Volt": "V", "volts": "V", "Volts": "V", "newton": "N", "Newton": "N", "kp": "kgf"}
+    {"gn": "g", "g_n": "g", "G": "g", "gravity": "g", "g's": "g", "gs": "g", "mG": "mg", "micron": "um", "inch": "in",
+     "ips": "in/s", "mils": "mil", "volt": "V", "Volt": "V", "volts": "V", "Volts": "V", "newton": "N", "Newton": "N",
+     "kp": "kgf"}
 )  # fmt: skip
 
 

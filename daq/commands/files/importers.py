@@ -140,7 +140,7 @@ def _blocks(record: Record, scales: list[float], levels: list[float]) -> Iterato
             counts = np.empty((end - index, len(scales)), dtype=np.int32)
             for k, (value, scale, zero) in enumerate(zip(record.values, scales, levels, strict=True)):
                 counts[:, k] = np.rint((np.asarray(value[index:end], dtype=np.float64) - zero) / scale)
-            yield end, [Block(index, counts, start_ns + round(1e9 * end / record.rate_hz))]
+            yield end, [Block(index, counts, start_ns + round(1e9 * (end - 1) / record.rate_hz))]
 
 
 def _runs(record: Record) -> Iterator[tuple[int, int, bool]]:

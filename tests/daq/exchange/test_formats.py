@@ -95,6 +95,13 @@ def test_a_struct_by_the_names_of_its_fields(tmp_path: Path) -> None:
     assert_read(read(mat(tmp_path, m=Y[:, ::-1], y=Y[:, 1], fs=RATE), rig('alias = "m(:,2)"')))
 
 
+def test_channels_as_structs_with_data_in_them(tmp_path: Path) -> None:
+    one = {n: {"data": Y[:, k], "fs": RATE} for k, n in enumerate("xy")}
+    assert_read(read(mat(tmp_path, run=one)))
+    several = np.array([(n, Y[:, k]) for k, n in enumerate("xy")], dtype=[("Name", "O"), ("Data", "O")])
+    assert_read(read(mat(tmp_path, channels=several, Fs=RATE)))
+
+
 def test_a_time_vector_beside_a_rate_has_to_agree_with_it(tmp_path: Path) -> None:
     assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, time=TIME)))
     assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, t_ms=1e3 * TIME)))
@@ -140,6 +147,21 @@ def test_mf4_units_and_date(tmp_path: Path) -> None:
 def test_mf4_over_an_angle_is_refused(tmp_path: Path) -> None:
     angle = [Signal(Y[:, 0], TIME, name="x", master_metadata=("Angle", 2)), Signal(Y[:, 1], TIME, name="y")]
     refused(mf4(tmp_path, [angle]), r'x was recorded over an angle \(master channel "Angle"\), not over time')
+
+
+def test_mf4_masters_say_their_unit(tmp_path: Path) -> None:
+    for unit, factor in (("ms", 1e3), ("s", 1.0), ("", 1.0)):
+        signals = [Signal(Y[:, k], factor * TIME, name=n) for k, n in enumerate("xy")]
+        path = mf4(tmp_path, [signals])
+        with MDF(path) as file:
+            file.groups[0].channels[0].unit = unit
+            found = child.of_mf4(file, ["x", "y"])
+        record = checked(path, of_answer(path, child.answer(found)), rig(), None, print)
+        assert record.rate_hz == pytest.approx(RATE)
+    with MDF(path) as file:
+        file.groups[0].channels[0].unit = "deg"
+        with pytest.raises(child.Told, match='x was recorded over "time" in deg, which is no unit of time'):
+            child.of_mf4(file, ["x", "y"])
 
 
 UFF_HEAD = """    -1
@@ -190,7 +212,8 @@ def test_sound_of_floats(tmp_path: Path) -> None:
     assert_read(read(tmp_path / "a.wav", said=said), Y / 10, atol=1e-6)
     assert "if 1 is full scale, say acquisition.full_scale" in said[-1]
     wavfile.write(tmp_path / "a.wav", 1000, Y.astype(np.float32))
-    assert_read(read(tmp_path / "a.wav", rig(full="full_scale = 50.0")), atol=1e-6)
+    assert_read(read(tmp_path / "a.wav", rig(full="full_scale = 50.0"), said), atol=1e-6)
+    assert "taken as values in the rig's units, not as parts of full scale" in said[-1]
 
 
 def test_the_date_of_a_broadcast_wave_file(tmp_path: Path) -> None:

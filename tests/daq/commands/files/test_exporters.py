@@ -37,7 +37,7 @@ def write(folder: Path, first_ns: int = START_NS, names: tuple[str, ...] = NAMES
     attachments = {"rig.toml": rig.encode()} if rig else {}
     writer = LogWriter(folder / "a.mcap", live=False, recorded=Recorded())
     writer.start(replace(make_session(), info=info, attachments=attachments))
-    writer.readings([Block(0, COUNTS[:, : len(names)], first_ns + 5 * 10**9)])
+    writer.readings([Block(0, COUNTS[:, : len(names)], first_ns + 4_990_000_000)])
     writer.close()
     return str(folder / "a.mcap")
 
