@@ -33,6 +33,7 @@ class Record:
     """Checked columns in the rig's order, as the file holds them; SI = value * factors[channel] + offsets[channel].
 
     missing : rows that are not there, if the caller allows gaps. started_ns : Unix time of the first row, ns.
+    breaks : (row, samples that are missing before it) where another file begins.
     """
 
     names: tuple[str, ...]
@@ -42,16 +43,23 @@ class Record:
     missing: NDArray[np.bool_] | None = None
     offsets: tuple[float, ...] = ()
     started_ns: int | None = None
+    breaks: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def lost(self) -> int:
+        """Samples of each channel that are not there."""
+        return (0 if self.missing is None else int(self.missing.sum())) + sum(count for _, count in self.breaks)
 
     @property
     def samples(self) -> int:
         return len(self.values[0])
 
     def si(self) -> NDArray[np.float64]:
-        """(samples, channels) in SI; NaN in rows that are not there."""
+        """(samples, channels) in SI; NaN in rows that are not there, and one row of them before each other file."""
         offsets = self.offsets or (0.0,) * len(self.names)
         columns = [v * f + o for v, f, o in zip(self.values, self.factors, offsets, strict=True)]
-        return np.column_stack(columns).astype(np.float64)
+        y = np.column_stack(columns).astype(np.float64)
+        return np.insert(y, [row for row, _ in self.breaks], np.nan, axis=0) if self.breaks else y
 
 
 def load(path: Path, rig: Rig, rate_hz: float | None, note: Callable[[str], None], gaps: bool = False) -> Record:

@@ -16,9 +16,9 @@ Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
 
 def import_(
     file: Annotated[
-        Path,
+        list[Path],
         typer.Argument(
-            metavar="FILE", help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC."
+            metavar="FILE...", help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC."
         ),
     ],
     rig: RigOption,
@@ -33,9 +33,12 @@ def import_(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Import a file of another format, by its ending, into a log. Missing samples are never filled in."""
+    """Import a file of another format, by its ending, into a log; several become one log, with gaps between them.
+
+    Missing samples are never filled in.
+    """
     with all_or_nothing():
-        from daq.commands.files.importers import import_file as body
+        from daq.commands.files.importers import import_files as body
 
         body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session
 from daq.exchange.checks import Record, load
+from daq.exchange.joined import joined
 from daq.exchange.measurement import findings
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI_UNIT
@@ -37,38 +39,57 @@ SURVEYED_VALUES = 20_000_000  # samples of all channels, of a longer record the 
 LEAST_STEPS = 256.0  # in the median of the sizes: rounding is then below -57 dB of it
 
 
-def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: float | None, gaps: bool) -> None:
+def import_files(
+    output: Output, paths: Sequence[Path], rig_path: Path, out: Path, rate_hz: float | None, gaps: bool
+) -> None:  # fmt: skip
+    """One file, or several of one measurement with gaps between them, into one log."""
     rig = load_rig(rig_path)
-    if out.resolve() == path.resolve():
-        raise LogError(f"{out}: is the file to import; choose another name for the log")
-    if path.suffix.lower() in CAPTURE_SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
-        _import_capture(output, path, rig, out)
+    for path in paths:
+        if out.resolve() == path.resolve():
+            raise LogError(f"{out}: is the file to import; choose another name for the log")
+    captures = [path for path in paths if _is_capture(path, rig)]
+    if captures and len(paths) > 1:
+        raise LogError(f"{captures[0]}: CAN traffic is imported one file at a time; give each a log of its own")
+    if captures:
+        _import_capture(output, captures[0], rig, out)
         return
     found: list[Notice] = []  # for the log, too: whoever has only that is to know
 
-    def say(text: str, code: str = "file_odd") -> None:
-        output.note(f"{path}: {text}")
-        found.append(Notice(time.monotonic_ns(), "warning", code, text))
+    def say(text: str, code: str = "file_odd", of: Path = paths[0]) -> None:
+        output.note(f"{of}: {text}")
+        found.append(Notice(time.monotonic_ns(), "warning", code, text if len(paths) == 1 else f"{of.name}: {text}"))
 
-    with output.progress(f"reading {path.name}"):
-        record = load(path, rig, rate_hz, say, gaps)
-    lost = 0 if record.missing is None else int(record.missing.sum())
-    for code, text in findings(record.si(), record.rate_hz, rig, SURVEYED_VALUES):
-        say(text, code)
+    read = []
+    for path in paths:
+        with output.progress(f"reading {path.name}"):
+            read.append((path, load(path, rig, rate_hz, partial(say, of=path), gaps)))
+    record = joined(read, say) if len(read) > 1 else read[0][1]
+    faults = findings(record.si(), record.rate_hz, rig, SURVEYED_VALUES)
+    told = [*found, *(Notice(time.monotonic_ns(), "warning", code, text) for code, text in faults)]
+    source = ", ".join(path.name for path in paths)
     with output.progress(f"writing {out.name}") as progress:
-        write_record(record, rig, out, {"source": path.name}, progress, output.note, found)
+        write_record(record, rig, out, {"source": source}, progress, output.note, told)
+    for code, text in faults:
+        say(text, code)
+    seconds = (record.samples + sum(count for _, count in record.breaks)) / record.rate_hz
     value = {
         "schema": 1,
         "file": str(out),
         "channels": list(record.names),
-        "samples": record.samples - lost,
-        "lost_samples": lost,
+        "samples": record.samples - (0 if record.missing is None else int(record.missing.sum())),
+        "lost_samples": record.lost,
         "rate_hz": record.rate_hz,
-        "seconds": record.samples / record.rate_hz,
+        "seconds": seconds,
         "started": None if record.started_ns is None else utc_text(record.started_ns),
     }
-    text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
-    output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
+    text = f"{seconds:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
+    output.result(value, f"{out}: {text}{f', {record.lost} samples missing' if record.lost else ''}")
+
+
+def _is_capture(path: Path, rig: Rig) -> bool:
+    """Whether it is recorded CAN traffic; an .mf4 is if the rig file maps signals."""
+    suffix = path.suffix.lower()
+    return suffix in CAPTURE_SUFFIXES and (suffix != ".mf4" or bool(rig.link.signals))
 
 
 def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
@@ -90,9 +111,8 @@ def write_record(
     from daq.log.writer import LogWriter
 
     levels = [level(v) for v in record.values]
-    scales = [
-        resolved(out, n, v, z, record.rate_hz) for n, v, z in zip(record.names, record.values, levels, strict=True)
-    ]
+    source, columns = metadata.get("source", str(out)), zip(record.names, record.values, levels, strict=True)
+    scales = [resolved(source, name, values, zero, record.rate_hz) for name, values, zero in columns]
     offsets = [f * z + o for f, z, o in zip(record.factors, levels, record.offsets or [0.0] * len(levels), strict=True)]
     units = [SI_UNIT[c.kind] for c in rig.model.channels]
     info = Info(
@@ -131,26 +151,31 @@ def versions() -> dict[str, str]:
 
 def _blocks(record: Record, scales: list[float], levels: list[float]) -> Iterator[tuple[int, list[Reading]]]:
     start_ns = time.monotonic_ns() if record.started_ns is None else record.started_ns
+    before = dict(record.breaks)
+    ahead = 0  # of the index before the row
     for first, stop, present in _runs(record):
+        if first in before:
+            yield first, [Gap(first + ahead, before[first], "source")]
+            ahead += before[first]
         if not present:
-            yield stop, [Gap(first, stop - first, "source")]
+            yield stop, [Gap(first + ahead, stop - first, "source")]
             continue
         for index in range(first, stop, BLOCK_ROWS):
             end = min(index + BLOCK_ROWS, stop)
             counts = np.empty((end - index, len(scales)), dtype=np.int32)
             for k, (value, scale, zero) in enumerate(zip(record.values, scales, levels, strict=True)):
                 counts[:, k] = np.rint((np.asarray(value[index:end], dtype=np.float64) - zero) / scale)
-            yield end, [Block(index, counts, start_ns + round(1e9 * (end - 1) / record.rate_hz))]
+            yield end, [Block(index + ahead, counts, start_ns + round(1e9 * (end + ahead - 1) / record.rate_hz))]
 
 
 def _runs(record: Record) -> Iterator[tuple[int, int, bool]]:
-    """(first, stop, present) of runs of rows that are there or not."""
-    if record.missing is None:
-        yield 0, record.samples, True
-        return
-    edges = [0, *(np.flatnonzero(np.diff(record.missing)) + 1).tolist(), record.samples]
-    for first, stop in zip(edges, edges[1:], strict=False):
-        yield first, stop, not record.missing[first]
+    """(first, stop, present) of runs of rows that are there or not; another file begins a run."""
+    edges = {0, record.samples, *(row for row, _ in record.breaks)}
+    if record.missing is not None:
+        edges |= set((np.flatnonzero(np.diff(record.missing)) + 1).tolist())
+    ordered = sorted(edges)
+    for first, stop in zip(ordered, ordered[1:], strict=False):
+        yield first, stop, record.missing is None or not record.missing[first]
 
 
 def level(values: NDArray[Any]) -> float:
@@ -164,7 +189,7 @@ def level(values: NDArray[Any]) -> float:
     return low / 2 + high / 2 if max(abs(low), abs(high)) > OFFSET_RATIO * (high / 2 - low / 2) > 0 else 0.0
 
 
-def resolved(out: Path, name: str, values: NDArray[Any], zero: float, rate_hz: float) -> float:
+def resolved(source: str, name: str, values: NDArray[Any], zero: float, rate_hz: float) -> float:
     """The scale of a column. Raises LogError if the largest value leaves the others too few steps."""
     rest = values - zero if zero else values
     scale = power_of_two(rest)
@@ -176,7 +201,7 @@ def resolved(out: Path, name: str, values: NDArray[Any], zero: float, rate_hz: f
         row = int(np.nanargmax(np.abs(rest)))
         text = f"{name} is {values[row]:g} at row {row} (t = {row / rate_hz:.6g} s), and usually about {usual:.3g}"
         remedy = "a log resolves 2^-30 of the largest value; if that one is no measured value, cut the record there"
-        raise LogError(f"{out}: {text}: {remedy}")
+        raise LogError(f"{source}: {text}: {remedy}")
     return scale
 
 

@@ -14,7 +14,7 @@ from promises import PATIENCE_S
 from daq.base.console.output import Output
 from daq.base.contract.sink import Session
 from daq.commands.demo import truth_text
-from daq.commands.files.importers import import_file
+from daq.commands.files.importers import import_files
 from daq.log.reader import read_log
 from daq.report.live_table import missing_text
 from daq.rig.rig import Rig, load_rig
@@ -182,7 +182,7 @@ def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_pat
     first = simulate(sound, 25600.0, 60.0, seed=1, noise=0.02, full_scale=490.5)
     y = np.concatenate([first, simulate(truth, 25600.0, 30.0, seed=2, noise=0.02, full_scale=490.5)])
     np.savez(tmp_path / "y.npz", rate_hz=25600.0, **{n: y[:, k] for k, n in enumerate(NAMES)})
-    import_file(Output(None, quiet=True), tmp_path / "y.npz", path, tmp_path / "y.mcap", None, False)
+    import_files(Output(None, quiet=True), [tmp_path / "y.npz"], path, tmp_path / "y.mcap", None, False)
     said: list[Notice] = []
     asked: list[float] = []
 
