@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from .can_frames import EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 
+MINUTE_MS, WORD_MS = 60_000, 65_536  # stamps count to either
+QUIET_MS = 2000  # by which the host's clock says which: it reads late, but not so late
 MAX_LINE = 160  # the longest is 1 + 8 + 1 + 128 + 8
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
@@ -106,7 +108,7 @@ def _parse(
             damaged[frames] += end > consumed
             consumed = end + 1
             continue
-        if byte != 13:
+        if byte != 13 and byte != 10:  # CR; some adapters end lines with CR LF, or LF
             continue
         begin = consumed
         consumed = end + 1
@@ -171,10 +173,11 @@ class SlcanCodec:
         self._damaged_run = 0
         self._stamp_ms: int | None = None
         self._stamp_ns = 0
+        self._wraps_at_ms: int | None = None  # once it is sure
 
     def reset(self) -> None:
         self._tail, self._overlong, self._stamp_digits, self._damaged_run = b"", False, -1, 0
-        self._stamp_ms = None
+        self._stamp_ms = self._wraps_at_ms = None
 
     def warm(self) -> None:
         """Compile now (or load the compiled code), not when the first bytes wait."""
@@ -182,7 +185,7 @@ class SlcanCodec:
 
     def feed(self, chunk: bytes, t_host_ns: int) -> Lines:
         raw = self._tail + chunk
-        n = raw.count(b"\r")
+        n = raw.count(b"\r") + raw.count(b"\n")
         ids, lengths = np.empty(n + 1, np.uint32), np.empty(n + 1, np.uint8)
         payload, stamps = np.zeros((n + 1, 64), np.uint8), np.empty(n + 1, np.int64)
         damaged = np.empty(n + 2, np.int64)
@@ -200,17 +203,33 @@ class SlcanCodec:
         return Lines(found, damaged[: frames + 1], refused, replies)
 
     def _times(self, stamps: NDArray[np.int64], t_host_ns: int) -> NDArray[np.int64]:
-        """The adapter's milliseconds (modulo one minute) on the host's clock, or the host's own."""
+        """The adapter's milliseconds, modulo one minute or 16 bit, on the host's clock; or the host's own."""
         if len(stamps) == 0 or self._stamp_digits != 4:
             return np.full(len(stamps), t_host_ns, np.int64)
         if self._stamp_ms is None:
             self._stamp_ms, self._stamp_ns = int(stamps[0]), t_host_ns
-        steps = np.diff(stamps, prepend=self._stamp_ms) % 60_000
+        modulus = self._modulus_of(stamps, t_host_ns)
+        steps = np.diff(stamps, prepend=self._stamp_ms) % modulus
         missed_ms = (t_host_ns - self._stamp_ns) / 1e6 - float(steps.sum())
-        steps[0] += 60_000 * max(0, round(missed_ms / 60_000))  # silent for minutes
+        steps[0] += modulus * max(0, round(missed_ms / modulus))  # silent for minutes
         times = self._stamp_ns + np.cumsum(steps) * 1_000_000
         self._stamp_ms, self._stamp_ns = int(stamps[-1]), int(times[-1])
         return np.asarray(times)
+
+    def _modulus_of(self, stamps: NDArray[np.int64], t_host_ns: int) -> int:
+        """What the stamps count to: a minute (LAWICEL), or all of 16 bit, which one beyond a minute says.
+
+        Until then an adapter may have wrapped while nothing came: what fits the host's clock.
+        """
+        if self._wraps_at_ms is None and int(stamps.max()) >= MINUTE_MS:
+            self._wraps_at_ms = WORD_MS
+        if self._wraps_at_ms is not None or self._stamp_ms is None or int(stamps[0]) >= self._stamp_ms:
+            return self._wraps_at_ms or MINUTE_MS
+        step_ms, host_ms = int(stamps[0]) - self._stamp_ms, (t_host_ns - self._stamp_ns) / 1e6
+        off_ms = {m: abs((host_ms - step_ms + m / 2) % m - m / 2) for m in (MINUTE_MS, WORD_MS)}
+        if self._stamp_ms < MINUTE_MS - QUIET_MS and off_ms[WORD_MS] < off_ms[MINUTE_MS] - QUIET_MS:
+            return WORD_MS
+        return MINUTE_MS
 
 
 def encode_line(identifier: int, data: bytes, fd: bool, brs: bool = True, stamp_ms: int | None = None) -> bytes:

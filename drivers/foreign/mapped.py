@@ -28,6 +28,7 @@ MAX_OPEN = 4096  # frames kept of a sample that is not complete
 LEARN_FRAMES, LEARN_S = 32, 1.0  # of each message, before a live device's samples come; or
 FEW_FRAMES, FEW_S = 8, 2.0  # so many
 LEARN_RECORDED = 4096  # frames of a capture
+ALONE_SHARE = 0.99  # of the frames are the device's: then each damaged one was a sample
 MOST_COUNT = 2.0**31
 
 I64Array = NDArray[np.int64]
@@ -201,6 +202,7 @@ class MappedDecoder:
         for each in self.findings:
             self.notices.add(t_host_ns, each.level, each.code, each.text)
         self._fit_steps(mine)
+        self._axis.trust_hints = messages == 1 and n >= ALONE_SHARE * sum(self._seen.values())
         return True
 
     # -- rows ------------------------------------------------------------------------------------------------------

@@ -52,6 +52,7 @@ class TimeAxis:
 
     def __init__(self, nominal_hz: float | None, learn: int = LEAST_SAMPLES) -> None:
         self.rate_hz: float | None = None  # of the axis, once it is known
+        self.trust_hints = False  # each damaged frame was a sample: no others come
         self.nominal_hz = nominal_hz
         self.measured: Period | None = None
         self.stepped_back = 0  # times the clock went back
@@ -89,7 +90,8 @@ class TimeAxis:
         passed = (times - self._anchor_ns - self._rest_ns) / self._period_ns
         lag = np.asarray(passed - np.arange(len(times)), np.float64)
         ahead = self._ahead()
-        placed = self._pieces(lag, _earliest(lag, ahead), ahead, final)
+        known = self._known(lag, ahead)
+        placed = self._pieces(lag if known is None else lag - known, known, ahead, final)
         sure = len(placed.index)
         self._held, self._hints = times[sure:], self._hints[sure:]
         return placed
@@ -109,8 +111,25 @@ class TimeAxis:
             return np.asarray(t_ns - leaps)
         return np.asarray(t_ns - self._leaps_ns)
 
-    def _pieces(self, lag: F64Array, earliest: F64Array, ahead: int, final: bool) -> Placed:
+    def _known(self, lag: F64Array, ahead: int) -> I64Array | None:
+        """(n,) samples before each that are known to be missing, so far; None if there are none.
+
+        A damaged frame that was no sample leaves frames behind it that would be early, which they cannot be.
+        """
+        if not self.trust_hints or not self._hints.any():
+            return None
+        for at in np.flatnonzero(self._hints).tolist():
+            known = lag - np.cumsum(self._hints)
+            behind, before = known[at : at + ahead], known[max(0, at - ahead) : at]
+            burst = 2.0 * (self._late + 1.0)
+            early = (float(before.min()) if len(before) > burst else 0.0) - float(behind.min())
+            if len(behind) > burst and early > 1.0 - CLOSE_SAMPLES:
+                self._hints[at] = max(0, self._hints[at] - int(early + CLOSE_SAMPLES))
+        return np.asarray(np.cumsum(self._hints))
+
+    def _pieces(self, lag: F64Array, known: I64Array | None, ahead: int, final: bool) -> Placed:
         n, done, base, level = len(lag), 0, 0.0, 0
+        earliest = _earliest(lag, ahead)
         missing = np.zeros(n, np.int64)
         unsure = within = 0
         size = max(1, min(PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
@@ -125,16 +144,19 @@ class TimeAxis:
             here = slice(done, done + sure)
             missing[here] = found[:sure]
             if found[sure - 1] > level:
-                more, width = self._sharpen(missing, lag - base, level, here)
+                more, width = self._sharpen(missing, lag - base, level, here, self._hints if known is None else None)
                 unsure, within = unsure + more, max(within, width)
             rest = earliest[here] - found[:sure]
             self._late = max(_quantile(lag[here] - found[:sure] - base, 0.98), 0.9 * self._late)
             base += _drift(_quantile(rest, 0.5) - base, self._unsure_rel * sure)
             done, level = done + sure, int(found[sure - 1])
-            self._remember(self._next + done + level, done + level + base)
+            passed = done + level + (0 if known is None else int(known[done - 1]))
+            self._remember(self._next + passed, passed + base)
             if done < stop and sure == certain:
                 break
         index = self._next + np.arange(done) + missing[:done]
+        if known is not None and done:
+            index, level = index + known[:done], level + int(known[done - 1])
         self._advance(done + level, base)
         return Placed(index, unsure, within)
 
@@ -165,7 +187,9 @@ class TimeAxis:
             result[start:] = level
         return result, n
 
-    def _sharpen(self, missing: I64Array, lag: F64Array, level: int, here: slice) -> tuple[int, int]:
+    def _sharpen(
+        self, missing: I64Array, lag: F64Array, level: int, here: slice, hints: I64Array | None
+    ) -> tuple[int, int]:
         """Move each step to where frames are known to be damaged. Returns samples whose place is unsure, and by how
         many samples.
 
@@ -184,9 +208,12 @@ class TimeAxis:
             end = min(stop + round(self._late) + 2, here.stop)
             after = np.flatnonzero(missing[start:end] > missing[start])
             end = start + int(after[0]) if len(after) else end
-            hints = np.minimum(np.cumsum(self._hints[start:end]), size)
-            left = size - int(hints[-1])
-            missing[start:end] = before + hints + left
+            if hints is None:
+                unsure, within = unsure + size, max(within, stop - start)
+                continue
+            here_missing = np.minimum(np.cumsum(hints[start:end]), size)
+            left = size - int(here_missing[-1])
+            missing[start:end] = before + here_missing + left
             if left:
                 unsure, within = unsure + left, max(within, stop - start)
         return unsure, within
@@ -199,7 +226,7 @@ class TimeAxis:
         if not final and not enough and not (self._learn_samples <= LEAST_SAMPLES and n >= 8 and span_s >= ENOUGH_S):
             return False
         nominal_ns = None if self.nominal_hz is None else 1e9 / self.nominal_hz
-        found = estimate_period(times, nominal_ns)
+        found = estimate_period(_with_damaged(times, self._hints) if self.trust_hints else times, nominal_ns)
         self.measured = found
         if found is None and nominal_ns is None:
             steps = np.diff(times)
@@ -221,7 +248,8 @@ class TimeAxis:
         lag = (times[: 4 * ahead] - times[0]) / self._period_ns - np.arange(len(times))[: 4 * ahead]
         self._late = max(0.0, _quantile(lag - _earliest(lag, ahead), 0.9))
         first = times[:ahead]
-        self._rest_ns = float((first - first[0] - np.arange(len(first)) * self._period_ns).min())
+        number = np.arange(len(first)) + (np.cumsum(self._hints[:ahead]) if self.trust_hints else 0)
+        self._rest_ns = float((first - first[0] - number * self._period_ns).min())
         return True
 
     def _ahead(self) -> int:
@@ -264,6 +292,12 @@ class TimeAxis:
 
 def _sharp(found: Period) -> bool:
     return found.exact or found.error_rel < SHARP_REL
+
+
+def _with_damaged(times: I64Array, hints: I64Array) -> I64Array:
+    """Arrivals with one more, with the time of the next, for each frame damaged before it; at most a few for each."""
+    few = np.minimum(hints, 8)
+    return np.repeat(times, few + 1)
 
 
 def off_nominal(found: Period, nominal_ns: float) -> bool:

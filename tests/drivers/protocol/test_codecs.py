@@ -177,6 +177,37 @@ def test_slcan_time_stamps_are_used() -> None:
     assert (np.diff(lines.frames.t_ns) / 1e6).tolist() == [5.0, 10.0]
 
 
+def stamped_line(stamp_ms: int) -> bytes:
+    return encode_line(1, b"", False)[:-1] + f"{stamp_ms:04X}\r".encode()
+
+
+@pytest.mark.parametrize("modulus", [60_000, 65_536])
+@pytest.mark.parametrize("batch", [1, 50])
+def test_slcan_stamps_wrap_at_a_minute_or_at_16_bits(modulus: int, batch: int) -> None:
+    """Twice, 10 ms apart."""
+    codec, times = SlcanCodec(), []
+    stamps = [(58_000 + 10 * k) % modulus for k in range(14_000)]
+    for k in range(0, len(stamps), batch):
+        wire = b"".join(stamped_line(each) for each in stamps[k : k + batch])
+        times += codec.feed(wire, 10_000_000 * (k + batch)).frames.t_ns.tolist()
+    assert set(np.diff(times).tolist()) == {10_000_000}
+
+
+@pytest.mark.parametrize("modulus", [60_000, 65_536])
+def test_slcan_stamps_that_wrapped_in_a_silence(modulus: int) -> None:
+    codec = SlcanCodec()
+    first = codec.feed(stamped_line(50_000), 0).frames.t_ns[0]
+    after = codec.feed(stamped_line((50_000 + 30_000) % modulus), 30_100_000_000).frames.t_ns[0]
+    assert (after - first) / 1e6 == 30_000
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\n"])
+@given(cuts=CUTS)
+def test_slcan_line_ends_of_any_kind(end: bytes, cuts: list[int]) -> None:
+    wire = b"".join(encode_line(k, bytes(k), fd=False)[:-1] + end for k in range(9))
+    assert lines_of(SlcanCodec(), pieces(wire, cuts)) == ([(k, bytes(k)) for k in range(9)], 0)
+
+
 def test_slcan_stamp_cannot_pass_for_data() -> None:
     """Two bytes lost from a stamped line look like a whole line without a stamp."""
     codec = SlcanCodec()
