@@ -13,6 +13,7 @@ from drivers.protocol import protocol
 from drivers.protocol.continuity import Continuity
 from drivers.protocol.device_info import DeviceInfo, Expected
 from drivers.protocol.protocol import CLASSIC_LAYOUT, FD16_LAYOUT, PROTOCOL_VERSION, SampleFrames
+from drivers.protocol.stated_rate import StatedRate
 
 from .can_frames import CanFrames
 from .classic import ClassicWindow
@@ -43,6 +44,7 @@ class CanDecoder:
         self._base = base_id
         self._device = DeviceInfo(self.notices, expected, unchecked)
         self._axis = Continuity(stats, self.notices, self._device.starts)
+        self._rate = StatedRate(self.notices, expected.rate_hz if expected else None)
         self._classic = ClassicWindow(stats, self.notices)
         self._unchecked = unchecked
         self._doubted: _Sync | None = None  # a sync frame that contradicts the last one
@@ -92,20 +94,35 @@ class CanDecoder:
         for row, length in zip(payload, lengths.tolist(), strict=True):
             data = row[:length].tobytes()
             if kind == protocol.ID_INFO:
-                self._announce(self._device.record(data, t_host_ns), out)
+                self._announce(self._device.record(data, t_host_ns), t_host_ns, out)
             elif kind == protocol.ID_INFO_PART and length >= 8:
-                self._announce(self._device.part(data, t_host_ns), out)
+                self._announce(self._device.part(data, t_host_ns), t_host_ns, out)
             elif kind == protocol.ID_SYNC and length >= 8:
                 self._sync_classic(*protocol.unpack_sync(data), t_host_ns, out)
             elif kind == protocol.ID_SYNC_FD and length >= 12:
                 index, flags, time_us = protocol.unpack_sync_fd(data)
                 if self._ours(flags, t_host_ns):
+                    marked = self._rate.mark(index, protocol.NO_MODULUS, time_us, t_host_ns)
+                    self._use(marked, t_host_ns, out)
                     self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns))
 
-    def _announce(self, info: Info | None, out: list[Reading]) -> None:
+    def _announce(self, info: Info | None, t_host_ns: int, out: list[Reading]) -> None:
         if info is not None:
+            self._use((self._rate.begin(info, t_host_ns, self._device.layout is FD16_LAYOUT), []), t_host_ns, out)
+
+    def _use(self, decided: tuple[Info | None, list[SampleFrames]], t_host_ns: int, out: list[Reading]) -> None:
+        """Announce a description whose rate has been held against the frames, and place these."""
+        info, held = decided
+        if info is not None:
+            self._device.use(info)
             self._axis.describe(info.rate_hz)
             out.append(info)
+        info = info or self._device.info
+        for frames in held:
+            if info is not None:
+                place = self._axis.feed_unchecked if self._unchecked else self._axis.feed
+                timed = frames if frames.time_us is not None else self._timed(frames, info, t_host_ns)
+                out.extend(place(timed, t_host_ns))
 
     def _ours(self, flags: int, t_host_ns: int) -> bool:
         version = (flags >> 2) & 3
@@ -143,9 +160,8 @@ class CanDecoder:
             if layout is FD16_LAYOUT:
                 frames = protocol.unpack_fd16(payload[start:stop], len(info.signals))
             else:
-                frames = self._timed(protocol.unpack_fd24(payload[start:stop], len(info.signals)), info, t_host_ns)
-            place = self._axis.feed_unchecked if self._unchecked else self._axis.feed
-            out.extend(place(frames, t_host_ns))
+                frames = protocol.unpack_fd24(payload[start:stop], len(info.signals))
+            self._use(self._rate.admit(frames, t_host_ns), t_host_ns, out)
 
     def _synchronise(self, new: _Sync, modulus: int = protocol.NO_MODULUS) -> bool:
         """Take a sync frame; on a link without check sums not before another one agrees with it."""
@@ -189,6 +205,8 @@ class CanDecoder:
         info = self._device.info
         if info is None or self._device.layout is not CLASSIC_LAYOUT or not self._ours(flags, t_host_ns):
             return
+        self._use(self._rate.mark(index, protocol.SYNC_MODULUS, time_us, t_host_ns), t_host_ns, out)
+        info = self._device.info or info
         if not self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns), protocol.SYNC_MODULUS):
             return  # the next one closes this window too, if it was this one that is wrong
         self._axis.begin(index, flags >> 4, time_us, t_host_ns)

@@ -45,6 +45,7 @@ class DeviceInfo:
 
     def __init__(self, notices: Notices, expected: Expected | None = None, unchecked: bool = False) -> None:
         self.info: Info | None = None
+        self._stated: Info | None = None  # as the records say
         self.layout: Layout | None = None
         self._notices = notices
         self._expected = expected or Expected()
@@ -82,7 +83,7 @@ class DeviceInfo:
         self._records = {each.channel: each for each in group}
         signals = tuple(self._records[channel].signal for channel in range(record.channels))
         info = Info(signals, record.rate_hz, f"{record.serial_number:08X}", record.count_bits)
-        if info == self.info:
+        if info == self._stated:
             if record.channel == record.channels - 1:
                 self.starts.described(record.epoch, not self._unchecked or all(self._twice.values()))
             return None
@@ -91,8 +92,12 @@ class DeviceInfo:
         self._compare(info, t_host_ns)
         self.starts.described(record.epoch, True)
         self._start = device
-        self.info, self.layout = info, _BY_CODE[record.layout]
+        self.info, self._stated, self.layout = info, info, _BY_CODE[record.layout]
         return info
+
+    def use(self, info: Info) -> None:
+        """The description with the rate that is used, where the stated one is untrue."""
+        self.info = info
 
     def _settled(self, signals: tuple[Signal, ...]) -> bool:
         """Neither a damaged record nor half of another description."""

@@ -273,7 +273,7 @@ def unpack_info(data: bytes) -> InfoRecord | None:
         return record  # only the version means anything
     layout = next((each for each in LAYOUT_OF_NAME.values() if each.code == record.layout), None)
     finite = np.isfinite([record.rate_hz, record.signal.scale, record.signal.offset, record.full_scale]).all()
-    if layout is None or not finite or not 0 < record.rate_hz <= 1e7 or record.signal.scale == 0:
+    if layout is None or not finite or record.rate_hz <= 0 or record.signal.scale == 0:
         return None
     if not 1 <= record.channels <= layout.max_channels or record.channel >= record.channels:
         return None

@@ -12,6 +12,7 @@ from drivers.protocol import protocol
 from drivers.protocol.continuity import Continuity
 from drivers.protocol.device_info import DeviceInfo, Expected
 from drivers.protocol.protocol import NO_MODULUS, PROTOCOL_VERSION, SERIAL16_LAYOUT, SERIAL24_LAYOUT, SampleFrames
+from drivers.protocol.stated_rate import StatedRate
 
 from .cobs import Bodies, Deframer
 
@@ -50,6 +51,7 @@ class SerialDecoder:
         self._deframer.warm()
         self._device = DeviceInfo(self.notices, expected)
         self._axis = Continuity(stats, self.notices, self._device.starts)
+        self._rate = StatedRate(self.notices, expected.rate_hz if expected else None)
 
     def cause(self, reason: str) -> None:
         """Why samples may be missing before the next frame (see Continuity)."""
@@ -87,8 +89,7 @@ class SerialDecoder:
             for body in bodies:
                 info = self._device.record(body[8:].tobytes(), t_host_ns)
                 if info is not None:
-                    self._axis.describe(info.rate_hz)
-                    out.append(info)
+                    self._rate.begin(info, t_host_ns, timed=True)
         elif self._device.mixed(t_host_ns):
             self.stats.count("mixed_frames", n)
         elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD_DTYPE.itemsize:
@@ -119,7 +120,13 @@ class SerialDecoder:
             head["index"].astype(np.int64), NO_MODULUS, head["lost"], protocol.flags_epoch(head["flags"]),
             head["time"].astype(np.int64), NO_MODULUS, counts.reshape(n, rows, channels),
         )  # fmt: skip
-        out.extend(self._axis.feed(frames, t_host_ns))
+        decided, held = self._rate.admit(frames, t_host_ns)
+        if decided is not None:
+            self._device.use(decided)
+            self._axis.describe(decided.rate_hz)
+            out.append(decided)
+        for part in held:
+            out.extend(self._axis.feed(part, t_host_ns))
 
     def _unknown(self, n: int, t_host_ns: int) -> None:
         self.stats.count("unknown_frames", n)
