@@ -24,6 +24,7 @@ from .starts import Starts
 _CAUSES_BY_PRIORITY = ("reconnect", "stuck", "silent", "version", "crc", "overflow")
 FAR_S = 86_400.0  # a device's clock this far ahead of what passed here is another start's
 AHEAD_S, AHEAD_SHARE = 5.0, 0.2  # so are counter and clock this much ahead of it, and by this share of it
+SLACK_S, SLACK_SHARE = 2e-4, 0.25  # of a stamp; of a frame
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
 
@@ -93,12 +94,17 @@ class Continuity:
         n = len(frames)
         if n == 0:
             return []
-        good = follows(frames, self.rate_hz, slack_us=200) & (frames.lost[1:] == frames.lost[:-1])
+        slack_us = self._slack(frames.counts.shape[1]) * 1e6 / self.rate_hz
+        good = follows(frames, self.rate_hz, slack_us=slack_us) & (frames.lost[1:] == frames.lost[:-1])
         out: list[Reading] = []
         starts = [0, *(np.flatnonzero(~good) + 1).tolist(), n]
         for start, stop in zip(starts[:-1], starts[1:], strict=True):
             self._run(frames, start, stop, t_host_ns, out)
         return out
+
+    def _slack(self, rows: int) -> float:
+        """Samples by which a device's stamps may be off, beyond half a frame; less than lets a lost frame pass."""
+        return min(SLACK_S * self.rate_hz, SLACK_SHARE * rows)
 
     def lose(self, count: int, reason: str, out: list[Reading]) -> None:
         """Declare the next `count` samples missing."""
@@ -186,7 +192,7 @@ class Continuity:
             return 1
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
-        slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
+        slack = 0.5 * rows + self._slack(rows) + min(1e-4 * abs(elapsed), f.modulus / 64)
         # samples that never were, up to centuries of them, would be a gap
         claimed, most_s = elapsed if timed else total, FAR_S if ahead == last.rows else AHEAD_S
         far = claimed - (1.0 + AHEAD_SHARE) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
