@@ -42,6 +42,7 @@ def _transfer_faults(model: Model, point: WorkingPoint, y: Array, found: Sequenc
     return find_transfer_faults(model, point, harmonics.known_lines(_with_findings(model, found)))
 
 
+MAX_SAMPLES = 1.2e7  # of all places, from the first row: a line spectrum takes about 50 bytes a sample
 DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults)
 
 
@@ -62,6 +63,7 @@ def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     list of Finding
         Strongest first.
     """
+    y = y[: int(MAX_SAMPLES / max(len(model.places), 1))]
     found: list[Finding] = []
     for detector in DETECTORS:
         found += detector(model, point, y, found)

@@ -31,10 +31,16 @@ class BandLimitedRecord(BandLimit):
         extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
         undone: Callable[[Array], Complexes] | None = None,
+        columns: Sequence[int] | None = None,
     ) -> None:
+        """columns : of y, one a kind; None: all of them, in order."""
         super().__init__(kinds, rate_hz, band, extra, slow, undone)
-        self._y = y
-        missing = np.concatenate([[0], np.cumsum(~np.isfinite(y).all(axis=1))])
+        own = list(range(y.shape[1])) if columns is None else list(columns)
+        self._y, self._columns = y, slice(None) if own == list(range(y.shape[1])) else own
+        absent = np.zeros(len(y), bool)
+        for k in own:
+            absent |= ~np.isfinite(y[:, k])
+        missing = np.concatenate([[0], np.cumsum(absent, dtype=np.int32)])
         self.valid: NDArray[np.bool_] = np.zeros(len(y), bool)
         if len(y) > 2 * self.half:
             inner = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
@@ -53,7 +59,7 @@ class BandLimitedRecord(BandLimit):
         """(outputs, channels, hop) filtered rows from b hop on, on the block grid of a stream."""
         first = b * self._hop - self.half
         lo, hi = max(first, 0), min(first + self._size, self.rows)
-        y = self._y[lo:hi].T
+        y = self._y[lo:hi, self._columns].T
         if y.shape[1] < self._size:
             y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
         return self._block(np.ascontiguousarray(y), dtype)[0]
@@ -72,15 +78,28 @@ class BandLimitedRecord(BandLimit):
 
     def whole(self, dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
         """The motion of the whole record in memory."""
-        out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in self.outputs]
+        return self.of_stretches([slice(0, self.rows)], dtype)
 
-        def fill(b: int) -> None:
-            first, z = b * self._hop, self._filtered(b, dtype)
-            for whole, part in zip(out, z[:, :, : self.rows - first], strict=True):
-                whole[:, first : first + self._hop] = part
+    def of_stretches(self, stretches: Sequence[slice], dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
+        """The motion of stretches of rows in memory, laid end to end."""
+        total = sum(rows.stop - rows.start for rows in stretches)
+        out: list[NDArray[Any]] = [np.empty((len(self.kinds), total), dtype) for _ in self.outputs]
+        asked: list[tuple[int, int, int, int]] = []  # block; first and last row of it that is wanted; where they go
+        begun = 0
+        for rows in stretches:
+            for b in range(rows.start // self._hop, -(-rows.stop // self._hop)):
+                lo, hi = max(rows.start, b * self._hop), min(rows.stop, (b + 1) * self._hop)
+                asked.append((b, lo, hi, begun + lo - rows.start))
+            begun += rows.stop - rows.start
 
-        map_threads(fill, range(-(-self.rows // self._hop)))
-        return self.motion(0, out, self.valid)
+        def fill(want: tuple[int, int, int, int]) -> None:
+            b, lo, hi, to = want
+            z = self._filtered(b, dtype)[:, :, lo - b * self._hop : hi - b * self._hop]
+            for whole, part in zip(out, z, strict=True):
+                whole[:, to : to + hi - lo] = part
+
+        map_threads(fill, asked)
+        return self.motion(stretches[0].start, out, np.concatenate([self.valid[rows] for rows in stretches]))
 
     @cached_property
     def rms(self) -> Array:

@@ -217,11 +217,21 @@ class MotionRecord:
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
     """Record of the first blocks of every time fold, about `seconds` in all; the record itself if it is no longer."""
-    per_fold = max(2, int(seconds * data.rate_hz / data.block / TIME_FOLDS))
-    if data.blocks <= 1.25 * per_fold * TIME_FOLDS:
-        return data
-    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(TIME_FOLDS)])
-    return data.at(joined_blocks(pick * data.block, data.block), **data.of_blocks(pick))
+    pick = leading_of_folds(data.fold, int(seconds * data.rate_hz / data.block))
+    return data if pick is None else data.at(joined_blocks(pick * data.block, data.block), **data.of_blocks(pick))
+
+
+def time_folds(blocks: int) -> NDArray[np.int64]:
+    """(blocks,) number of the time fold of each block."""
+    return np.minimum(np.arange(blocks) * TIME_FOLDS // blocks, TIME_FOLDS - 1)
+
+
+def leading_of_folds(fold: NDArray[np.int64], blocks: int) -> NDArray[np.int64] | None:
+    """Indices of the first blocks of every time fold, about `blocks` in all; None if there are hardly more."""
+    per_fold = max(2, blocks // TIME_FOLDS)
+    if fold.size <= 1.25 * per_fold * TIME_FOLDS:
+        return None
+    return np.concatenate([np.flatnonzero(fold == f)[:per_fold] for f in range(TIME_FOLDS)])
 
 
 def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:

@@ -24,16 +24,18 @@ from .checks import check_moves
 from .force_balance import shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
-from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_blocks
+from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
-MAX_RECORD_S = 240.0  # of a record that are kept (10 MB/s), in TIME_FOLDS stretches spread over the whole
+# of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
+# 25.6 kHz; a working point and its making take about 90 bytes a sample
+MAX_SAMPLES = 6e6
 
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
-    """Motion record of y (n, channels), SI, at most MAX_RECORD_S of it. Raises DataError as `motion_record` does."""
-    return leading_blocks(motion_record(model, corrected_record(model, y, rate_hz), rate_hz), MAX_RECORD_S)
+    """Motion record of y (n, channels), SI, at most MAX_SAMPLES of it. Raises DataError as `motion_record` does."""
+    return motion_record(model, corrected_record(model, y, rate_hz), rate_hz, most_samples=MAX_SAMPLES)
 
 
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
@@ -42,16 +44,20 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     if data.blocks * data.block < MIN_SAMPLES:
         text = "an effect may be present and not visible; record half a minute or more"
         return (Message("record_short", f"only {used:.2g} s of the record are usable: {text}"),)
-    if whole <= 1.25 * MAX_RECORD_S or used < 0.9 * MAX_RECORD_S:
+    kept = MAX_SAMPLES / len(data.places) / data.rate_hz
+    if whole <= 1.25 * kept or used < 0.9 * kept:
         return ()
     text = f"{used:.0f} s of the record's {whole:.0f} s are used, in six stretches spread over the record"
     return (Message("record_long", text),)
 
 
-def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionRecord:
+def motion_record(
+    model: Model, y: Array, rate_hz: float, block: int = 8192, most_samples: float = np.inf
+) -> MotionRecord:
     """Motion record of y (n, channels of the model), SI, in valid blocks of `block` rows (less for a short record).
 
-    Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
+    most_samples : of all places; of a longer record the first blocks of every time fold are kept. Raises DataError if
+    fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
     y = np.asarray(y, dtype=np.float64)
     places = model.places
@@ -59,28 +65,25 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     columns = [*moving, *shaken.values()]
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
-    used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    filtered = _band_limited(model, used, columns, rate_hz)
-    motion = filtered.whole(np.float32)
-    starts = _valid_starts(motion.valid, block)
+    filtered = _band_limited(model, y, columns, rate_hz)
+    starts = _valid_starts(filtered.valid, block)
     if starts.size < 2 * TIME_FOLDS:
-        raise DataError(_too_short(used, model.band[0], rate_hz, block, filtered.half))
-    P = len(places)
+        raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
+    fold = time_folds(starts.size)
+    pick = None if most_samples == np.inf else leading_of_folds(fold, int(most_samples / len(places) / block))
+    starts, fold = (starts, fold) if pick is None else (starts[pick], fold[pick])
     stretches = joined_blocks(starts, block)
-
-    def valid(z: Series) -> Series:
-        if len(stretches) == 1:
-            return z[:, stretches[0]]
-        return np.concatenate([z[:, rows] for rows in stretches], axis=1)
-
-    t = np.arange(len(y)) / rate_hz
+    motion = filtered.of_stretches(stretches, np.float32)
+    P = len(places)
+    rows = np.concatenate([np.arange(part.start, part.stop) for part in stretches])
+    t = rows / rate_hz
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
     angle = measured_phase(model, y, rate_hz)
-    angle = speed * t if angle is None else angle
-    a, v, x, u, (t,), (phase,) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, t[None], angle[None]))
-    below = None if motion.slow is None else valid(motion.slow[:P])
+    phase = speed * t if angle is None else angle[rows]
+    a, v, x, u = motion.a, motion.v[:P], motion.x[:P], motion.u
+    below = None if motion.slow is None else motion.slow[:P]
     measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
-    slow = _below(model, valid(y.T[[*shaken.values()]]), list(shaken), rate_hz) if shaken else None
+    slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
     known = _inertia_and_shaft(model, mass, a, v, x, u)
     driven = np.zeros(P)
@@ -91,7 +94,6 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     periodic = periodic_series(model, places, t, phase, rate_hz)
     if periodic is not None:
         known -= periodic
-    fold = np.minimum(np.arange(starts.size) * TIME_FOLDS // starts.size, TIME_FOLDS - 1)
     bins = fitted_bins(model, rate_hz, block)
     _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
@@ -118,10 +120,11 @@ def _refuse_only_lines(model: Model, fitted_hz: float) -> None:
 
 
 def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) -> BandLimitedRecord:
-    """Band-limited motion and force of some columns of a record; y : these columns (n, columns), SI."""
+    """Band-limited motion and force of some columns of a record y (n, channels), SI, made as it is asked for."""
+    kinds = [model.channels[k].kind for k in columns]
     return BandLimitedRecord(
-        y, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True,
-        undone=anti_alias_response(model, rate_hz),
+        y, kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=anti_alias_response(model, rate_hz),
+        columns=columns,
     )  # fmt: skip
 
 

@@ -46,3 +46,14 @@ def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.Mo
         for name in (f"{place}.kL", f"{place}.c", f"{place}.cubic.kNL"):
             assert large.values[name] == pytest.approx(small.values[name], rel=1e-9)
     assert np.allclose(residual_force(large), residual_force(small), rtol=1e-6, equal_nan=True)
+
+
+def test_stretches_are_the_rows_of_the_whole() -> None:
+    y = np.random.default_rng(2).normal(size=(40000, 3))
+    own = BandLimitedRecord(y, ["acceleration", "velocity"], 4096.0, (100.0, 1500.0), columns=[2, 0])
+    whole, stretches = own.whole(), [slice(3000, 9000), slice(20000, 20100), slice(25000, 33000)]
+    part = own.of_stretches(stretches)
+    for name in ("a", "v", "x"):
+        wanted = np.concatenate([getattr(whole, name)[:, rows] for rows in stretches], axis=1)
+        np.testing.assert_array_equal(getattr(part, name), wanted)
+    assert part.valid.all()

@@ -144,7 +144,7 @@ def test_of_a_long_record_six_stretches_are_judged_and_it_is_said(monkeypatch: p
     rig = one_bearing()
     y = simulate(rig, RATE, 16.0, seed=5, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(rig, y, RATE)
-    monkeypatch.setattr("estimator.likelihood.motion.prepare.MAX_RECORD_S", 4.0)
+    monkeypatch.setattr("estimator.likelihood.motion.prepare.MAX_SAMPLES", 4.0 * RATE * len(rig.places))
     part = fit_all_effects(rig, y, RATE)
     assert whole.messages == ()
     assert [m.code for m in part.messages] == ["record_long"]
