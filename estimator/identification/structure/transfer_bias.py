@@ -140,12 +140,12 @@ def fit_cause(
     return max([best, *again], key=lambda peak: peak.nats)
 
 
-def cause_parameters(cause: TransferCause, peak: Peak, part: slice = CAUSE_NUMBERS) -> dict[str, Parameter]:
-    """Parameters of a cause with their standard deviations, by name. part : position of z in the peak's numbers."""
-    z, q = peak.u[part], len(cause.names)
+def cause_parameters(cause: TransferCause, peak: Peak) -> dict[str, Parameter]:
+    """Parameters of a cause with their standard deviations, by name."""
+    z, q = peak.u[CAUSE_NUMBERS], len(cause.names)
     values = cause.values(z)
     slopes = np.stack([(cause.values(z + 1e-5 * e) - values) / 1e-5 for e in np.eye(q)])
-    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[part, part] @ slopes), 0.0))
+    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[CAUSE_NUMBERS, CAUSE_NUMBERS] @ slopes), 0.0))
     return {
         p.name: Parameter(float(v), float(s), p.unit)
         for p, v, s in zip(CATALOGUE[cause.effect].parameters, values, sd, strict=True)

@@ -6,10 +6,9 @@ gain: with gain 1 + error the mass appears as m / (1 + error), and no other caus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtrc
@@ -37,18 +36,13 @@ from estimator.parallel import map_processes
 from estimator.signals.channel_response import measured_force_places
 
 from .noisy_sensor import find_noisy_sensors_under_force
-from .transfer_bias import CAUSE_NUMBERS, TransferCause, cause_parameters, fit_cause, transfer_causes
+from .transfer_bias import TransferCause, cause_parameters, fit_cause, transfer_causes
 
 MIN_EXPLAINED_SHARE = 0.5  # of the power that a free response explains, for a cause
 MAX_FAULT_P_VALUE = 1e-2  # of a finding
-MAX_PAIR_LEFT_REL = 0.5  # power left by two causes together over that left by the best one
 MIN_BIAS_SD = 8.0  # gain of a free response in standard deviations, for a transfer function biased by unknown cause
 MIN_CELLS = 100  # of a response that is judged
 MIN_NOISE_SHARE = 1e-3  # of the force, in power: less noise biases nothing that would be claimed
-# A gain makes a wrong reading of the noise likelier than the right one, by half of p in each cell, as |f|^2 is noisy
-# there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length.
-MIN_CAUSE_GAIN_NATS = 250.0
-READING_TOLERANCE_NATS = 10.0  # within which the remaining force is read as sensor noise
 DELAY_GAIN_REL = 0.99  # of the gain (nats) of the likeliest cause, that a delay must have
 MIN_GAIN_ERROR_REL = 2e-3  # of a sensor gain: less is within any calibration and weighing of a cap
 EFFECT_NOTES = {
@@ -118,30 +112,16 @@ class TriedCauses:
         gains = {cause.effect: peak.nats - self.base.nats for cause, peak in self.causes.items()}
         return gains.get(SENSOR_SKEW.name, 0.0) > DELAY_GAIN_REL * max(gains.values(), default=0.0)
 
-    @property
-    def likely(self) -> float:
-        """Log-likelihood less the least gain of a cause, and less the tolerance if a force is unmeasured, nats."""
-        return max(self.base.nats, self.best.nats - MIN_CAUSE_GAIN_NATS) - READING_TOLERANCE_NATS * (
-            self.response.unmeasured > 0.0
-        )
-
 
 def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: PathSpectra) -> TriedCauses:
-    """Causes tried with the remaining force read as sensor noise, as an unmeasured force, or as both: the likeliest.
+    """Causes tried with the remaining force read as sensor noise and unmeasured force in their likeliest shares.
 
     Sensor noise makes the rotor seem lighter and softer by its share of the power of the force.
     """
-    noise = _try_causes(model, point, i, r)
-    if float(np.average(r.share(clipped_exp(noise.base.u[0])), weights=r.n)) < MIN_NOISE_SHARE:
-        return noise
-    beside = _try_causes(model, point, i, replace(r, unmeasured=1.0), noise.causes)
-    either = noise, beside
-    share = _unmeasured_share(point, i, r)
-    both = fit_linear_path(point, i, replace(r, unmeasured=share))[0].nats
-    if both < max(tried.base.nats for tried in either) + READING_TOLERANCE_NATS:
-        return max(either, key=lambda tried: tried.likely)
-    mixed = _try_causes(model, point, i, replace(r, unmeasured=share), noise.causes)
-    return max(*either, mixed, key=lambda tried: tried.likely)
+    noise, _ = fit_linear_path(point, i, r)
+    if float(np.average(r.share(clipped_exp(noise.u[0])), weights=r.n)) >= MIN_NOISE_SHARE:
+        r = replace(r, unmeasured=_unmeasured_share(point, i, r))
+    return _try_causes(model, point, i, r)
 
 
 def _unmeasured_share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
@@ -175,31 +155,23 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
     return any(map_processes([partial(at, i) for i in places]))
 
 
-def _try_causes(
-    model: Model, point: WorkingPoint, i: int, r: PathSpectra, about: Mapping[TransferCause, Peak] | None = None
-) -> TriedCauses:  # fmt: skip
-    """Fits with every cause that the model lacks at location i.
-
-    about : fits of another reading of the remaining force, as starts; None starts from each cause's own points.
-    """
+def _try_causes(model: Model, point: WorkingPoint, i: int, r: PathSpectra) -> TriedCauses:
+    """Fits with every cause that the model lacks at location i."""
     place = point.data.places[i]
     base, scale = fit_linear_path(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {SENSOR_GAIN.name} if model.cap_mass(place) is None else set()
-    if about is None:
-        starts = {c: [np.array(z) for z in c.starts] for c in transfer_causes(point, i, {}) if c.effect not in taken}
-    else:
-        starts = {cause: [peak.u[CAUSE_NUMBERS]] for cause, peak in about.items()}
-    tried = {cause: fit_cause(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
+    causes = [c for c in transfer_causes(point, i, {}) if c.effect not in taken]
+    tried = {c: fit_cause(point, i, r, c, base, scale, [np.array(z) for z in c.starts]) for c in causes}
     return TriedCauses(response=r, base=base, scale=scale, causes=tried)
 
 
 def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
-    """Findings at location i: one cause, two causes together where one leaves much, or an unknown bias."""
-    r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
+    """Findings at location i: the causes that explain the bias, or an unknown one."""
+    r, base, tried = at_place.response, at_place.base, at_place.causes
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     judge = partial(_cause_finding, point, i, r, base, least)
-    out = [f for cause, peak in tried.items() for f in judge(cause, CAUSE_NUMBERS, peak, base)]
+    out = [f for cause, peak in tried.items() for f in judge(cause, peak)]
     late = next((peak for cause, peak in tried.items() if cause.effect == SENSOR_SKEW.name), base)
     if at_place.late and not _is_biased(r, late, least):
         out = [f for f in out if f.effect != SENSOR_RESONANCE.name]
@@ -208,16 +180,6 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCa
         gain = next((peak for cause, peak in tried.items() if cause.effect == SENSOR_GAIN.name), None)
         slight = gain is not None and abs(gain.u[4]) < MIN_GAIN_ERROR_REL and not _is_biased(r, gain, least)
         return [] if slight else out
-    near = {(a, b): _fit_two_causes(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
-    if near:
-        a, b = max(near, key=lambda pair: near[pair])
-        peak = _fit_two_causes(point, i, r, a, b, tried, scale, everywhere=True)
-        k = 4 + len(a.names)
-        two = judge(a, slice(4, k), peak, tried[b]) + judge(b, slice(k, None), peak, tried[a])
-        if two and float(residual_power(r, peak.A) @ r.hz) < MAX_PAIR_LEFT_REL * float(
-            residual_power(r, best.A) @ r.hz
-        ):
-            return two
     if out or not _is_biased(r, base, least):
         return out
     power, z = _coherent_power(r, base)
@@ -236,13 +198,11 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCa
 
 
 def _cause_finding(
-    point: WorkingPoint, i: int, r: PathSpectra, base: Peak, least: float, cause: TransferCause, part: slice,
-    peak: Peak, without: Peak,
-) -> list[Finding]:  # fmt: skip
+    point: WorkingPoint, i: int, r: PathSpectra, base: Peak, least: float, cause: TransferCause, peak: Peak
+) -> list[Finding]:
     """The finding of a cause at location i in a list, empty if the cause explains too little.
 
-    base : fit without any cause. least : N^2 that matter. part : the cause's numbers in the peak. without : the fit
-    that its gain is counted from.
+    base : fit without any cause. least : N^2 that matter. peak : fit with the cause.
     """
     before = residual_power(r, base.A)
     coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size  # beyond chance
@@ -250,7 +210,7 @@ def _cause_finding(
     explained = float(r.n @ (1 - residual_power(r, peak.A) / before))
     if explained < MIN_EXPLAINED_SHARE * coherent or power < least:
         return []
-    gain, q = peak.nats - without.nats, len(cause.names)
+    gain, q = peak.nats - base.nats, len(cause.names)
     p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(point.data.places) * len(cause.starts)))
     if p > MAX_FAULT_P_VALUE:
         return []
@@ -265,41 +225,10 @@ def _cause_finding(
             power_N2={i: power},
             against="frequency",
             region=_bias_region(r, before, peak.A),
-            settings={place: cause_parameters(cause, peak, part)},
+            settings={place: cause_parameters(cause, peak)},
             note=EFFECT_NOTES[cause.effect],
         )
     ]
-
-
-def _fit_two_causes(
-    point: WorkingPoint, i: int, r: PathSpectra, a: TransferCause, b: TransferCause,
-    alone: Mapping[TransferCause, Peak], scale: Array, everywhere: bool = False,
-) -> Peak:  # fmt: skip
-    """The fit of two causes together, started where each is by itself.
-
-    everywhere : starts also at one cause's fit and the other's own points.
-    """
-    k = len(a.names)
-
-    def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
-        return lambda z: np.concatenate([of_a(z[:k]), of_b(z[k:])])
-
-    def bend(r: PathSpectra, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
-        return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
-
-    pair = TransferCause(
-        effect=a.effect, starts=(), values=apart(a.values, b.values), free=apart(a.free, b.free), bend=bend
-    )
-
-    def begun(first: Peak, *starts: tuple[Array, Array]) -> Peak:
-        return fit_cause(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
-
-    at_a, at_b = alone[a].u[CAUSE_NUMBERS], alone[b].u[CAUSE_NUMBERS]
-    if not everywhere:
-        return begun(alone[a], (at_a, at_b))
-    beside_a = begun(alone[a], *((at_a, np.array(z)) for z in b.starts))
-    beside_b = begun(alone[b], *((np.array(z), at_b) for z in a.starts))
-    return max(beside_a, beside_b, key=lambda peak: peak.nats)
 
 
 def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:

@@ -261,12 +261,6 @@ def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
     assert fit[f"{PLACE}.kL"].value == pytest.approx(KL, rel=1e-3)
 
 
-PAIRS = [
-    pytest.param(("sensor_gain", "sensor_skew"), marks=pytest.mark.slow),
-    ("pedestal", "sensor_gain"),
-]
-
-
 def made_both(pair: tuple[str, str]) -> Array:
     sensors = [heard(n, *HIDDEN[n]) for n in pair if n != "pedestal"]
 
@@ -277,18 +271,6 @@ def made_both(pair: tuple[str, str]) -> Array:
 
     p = HIDDEN["pedestal"]
     return record(seed=3, pedestal=(p[0], p[1], p[2]) if "pedestal" in pair else None, sensor=sensor)  # type: ignore[misc]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pair", PAIRS)
-def test_two_at_one_place_are_told_apart(pair: tuple[str, str]) -> None:
-    """Neither by itself explains half of what is left at 1 / 40 of it."""
-    y = made_both(pair)
-    found = {s.effect: s.settings[PLACE] for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)}
-    assert set(found) == set(pair)
-    for name in pair:
-        for p, true in zip(found[name].values(), HIDDEN[name], strict=True):
-            assert p.value == pytest.approx(true, rel=0.01)
 
 
 @pytest.mark.slow
