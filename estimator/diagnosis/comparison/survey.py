@@ -57,6 +57,6 @@ def survey_bearing(
     more : callables
         Further questions.
     """
-    part = point_on_part(point, missing_force.SURVEY_S)
+    part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
     found, findings, *answers = missing_force.survey_with(part, model, lambda: search(model, point, y), *more)
     return BearingSurvey(part=part, missing=found, findings=tuple(findings)), *answers

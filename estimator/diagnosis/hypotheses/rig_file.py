@@ -29,17 +29,19 @@ from estimator.model.rig import MOTION, EffectUse, Model, Setting
 from estimator.parallel import map_processes
 from estimator.results import Parameter
 
-TRIAL_S = 8.0  # of the record, that a hypothesis is fitted to
+TRIAL_ROWS = 2**17  # of the record, that a hypothesis is fitted to: 5 s at 25.6 kHz
 COHERENCE_CELLS = 40  # of about equal width in log frequency
-TRIAL_FACTORS = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)  # of a mass or a spring: slips of a unit, a factor of two, of a half
-REFINING_STEPS = 7  # of the factor that explains most
-FACTOR_SD_REL = 0.05  # of a factor found by these steps
-MAX_REFINED = 3  # hypotheses, the likeliest, whose factor is refined
+TRIAL_FACTORS = (0.1, 0.5, 2.0, 10.0)  # of a mass or a spring: slips of a unit, a factor of two, of a half
+REFINING_STEPS = 6  # of the factor that explains most
+MAX_FACTOR_SD_LOG = 0.2  # beyond which a factor is said to be rough
+FACTOR_STEP_LOG = 0.2  # to either side of a factor, for its standard deviation
+MIN_REFINED_NATS = 3.0  # gained by a factor between those of the grid
+MAX_REFINED = 2  # hypotheses, the likeliest, whose factor is refined
 REFINED_LOG_RANGE = 1.0  # to either side of the factor of the grid
 UNSOUND_NATS = 1e12  # in place of the coherence of a fit that diverges
 INVERTED_ERROR = -2.0  # relative error of the gain of an inverted channel
 
-Values = tuple[float, ...]
+Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,17 +96,17 @@ class ScaledMass:
         return f"rig.mass.{self.key}"
 
     def propose(self, context: RigFileContext) -> Sequence[Values]:
-        return [(factor,) for factor in TRIAL_FACTORS] if self.key in context.model.mass else []
+        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in context.model.mass else []
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         mass = values[0] * model.mass[self.key]
-        return {self.name: Parameter(mass, FACTOR_SD_REL * mass, "kg")}
+        return {self.name: Parameter.from_estimate(mass, values[1] * mass, "kg")}
 
     def text(self, values: Values) -> str:
-        return f"check {self.name}: with {values[0]:.2g} times its value the bearings respond to each other as measured"
+        return _factor_text(self.name, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +116,17 @@ class ScaledSpring:
     name: str = "rig.shaft_spring.stiffness"
 
     def propose(self, context: RigFileContext) -> Sequence[Values]:
-        return [(factor,) for factor in TRIAL_FACTORS]
+        return [(factor, 1.0) for factor in TRIAL_FACTORS]
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         stiffness = values[0] * model.shaft_stiffness
-        return {self.name: Parameter(stiffness, FACTOR_SD_REL * stiffness, "N/m")}
+        return {self.name: Parameter.from_estimate(stiffness, values[1] * stiffness, "N/m")}
 
     def text(self, values: Values) -> str:
-        return f"check {self.name}: with {values[0]:.2g} times its value the bearings respond to each other as measured"
+        return _factor_text(self.name, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +183,12 @@ class InvertedChannel:
 
     def text(self, values: Values) -> str:
         return f"check the mounting: channel {self.number + 1} has the other sign"
+
+
+def _factor_text(name: str, values: Values) -> str:
+    """What to check of a number that a factor changes."""
+    rough = " or so" if values[1] > MAX_FACTOR_SD_LOG else ""
+    return f"check {name}: with {values[0]:.2g} times its value{rough} the bearings respond to each other as measured"
 
 
 def coupling_hypotheses(model: Model) -> list[Hypothesis]:
@@ -256,7 +264,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         Sampling rate, Hz.
     """
     asked = coupling_hypotheses(model)
-    part = y[: int(TRIAL_S * rate_hz)]
+    part = y[:TRIAL_ROWS]
 
     def coherence(changed: Model) -> float:
         try:
@@ -279,15 +287,23 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         tried.setdefault(h.name, (rest, values, h))
 
     def refined(rest: float, values: Values, h: Hypothesis) -> tuple[float, Values, Hypothesis]:
+        """The hypothesis at its likeliest factor, with the standard deviation of the logarithm of the factor."""
         if not values or not np.isfinite(rest):
             return rest, values, h
+
+        def at(u: float) -> float:
+            return min(coherence(h.apply(model, (float(np.exp(u)), 0.0))), UNSOUND_NATS)
+
         middle = float(np.log(values[0]))
         found = minimize_scalar(
-            lambda u: min(coherence(h.apply(model, (float(np.exp(u)),))), UNSOUND_NATS),
-            bounds=(middle - REFINED_LOG_RANGE, middle + REFINED_LOG_RANGE), method="bounded",
+            at, bounds=(middle - REFINED_LOG_RANGE, middle + REFINED_LOG_RANGE), method="bounded",
             options={"maxiter": REFINING_STEPS},
         )  # fmt: skip
-        return (float(found.fun), (float(np.exp(found.x)),), h) if found.fun < rest else (rest, values, h)
+        if found.fun < rest - MIN_REFINED_NATS:
+            middle, rest = float(found.x), float(found.fun)
+        rise = 0.5 * (at(middle - FACTOR_STEP_LOG) + at(middle + FACTOR_STEP_LOG)) - rest
+        sd = FACTOR_STEP_LOG / np.sqrt(2.0 * max(rise, 0.5 * FACTOR_STEP_LOG**2))
+        return rest, (float(np.exp(middle)), float(sd)), h
 
     likeliest = [partial(refined, *one) for one in [*tried.values()][:MAX_REFINED]]
     rest, values, best = min(map_processes(likeliest), key=lambda one: one[0])

@@ -14,7 +14,7 @@ from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
-from estimator.identification.batch.full_fit import is_disturbance
+from estimator.identification.batch.full_fit import FullFit, is_disturbance
 from estimator.identification.residual import missing_force
 from estimator.identification.structure import spectral_shape
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -126,8 +126,11 @@ def judge_bearing(
     if survey.adequate:
         forces = [_measured_force_message(point)] if point.data.measured_force else []
         return BearingJudgement("complete", tuple(found.entries), messages=tuple(forces))
-    law = max((entry.gain for entry in found.entries), default=0.0)
-    if survey.missing.disturbances and (seen := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
+    likeliest = max((entry.gain for entry in found.entries), default=0.0)
+    if (
+        survey.missing.disturbances
+        and (seen := spectral_shape.refit_with_seen_spectra(model, point, likeliest)) is not None
+    ):
         point, shares = seen, survey.missing.disturbances
         survey = survey_bearing(model, point, y)[0]
         survey = replace(survey, missing=replace(survey.missing, disturbances=shares))
@@ -142,6 +145,9 @@ def judge_bearing(
             return _of_mistake(mistake, model, survey, entries)
     if not named:
         return _unknown(context, entries)
+    shaped = context.fitted(named[0]).whole
+    if shaped is not None and (law := _law_beside(shaped, named[0], y, say, refused)) is not None:
+        return law
     ranking = (*named, *(e for e in entries if not e.passed))
     ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if _left(e) is not None]
     notes = () if named[0].placed else named[0].notes
@@ -172,6 +178,33 @@ def _left(entry: Entry) -> float | None:
     """What a candidate leaves of what it was to explain; None where it did not come to that gate."""
     last = entry.gates[-1] if entry.gates else None
     return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
+
+
+def _law_beside(
+    whole: FullFit, nuisance: Entry, y: Array, say: Progress, refused: frozenset[str]
+) -> BearingJudgement | None:  # fmt: skip
+    """The judgement that names a law that is missing beside a spectral shape; None where none is.
+
+    A spectrum of the excitation or the support is a background: what is named is the law, if one passes beside it.
+
+    whole : the model with the spectral shape, fitted to the first part of the record.
+    """
+    rate_hz = whole.point.data.rate_hz
+    part = y[: int(missing_force.survey_seconds(rate_hz) * rate_hz)]
+    survey = survey_bearing(whole.model, whole.point, part)[0]
+    if survey.adequate or not survey.missing.places_found():
+        return None
+    found = rank_on_part(whole.model, survey, say)
+    context = Context(model=whole.model, point=whole.point, y=part, survey=survey, say=say)
+    laws = [e for e in found.entries if e.placed and e.effect not in refused]
+    entries = _judged_entries(laws, context)
+    named = [e for e in entries if e.passed]
+    if not named:
+        return None
+    ranking = (*named, nuisance, *(e for e in entries if not e.passed))
+    text = f"the force at {', '.join(nuisance.at)} is not white either: {nuisance.effect} comes nearest"
+    note = Message("background_too", text)
+    return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=(note,))
 
 
 def _leaves_message(entry: Entry) -> Message:

@@ -15,7 +15,7 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import NAMED
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
-from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
@@ -44,11 +44,14 @@ class JointFit:
         not measured.
     gain_nats : float or None
         Held-out gain of the fit; None where the likelihoods are not of the same data.
+    whole : FullFit or None
+        The model with the candidate, where that is a spectral shape.
     """
 
     entry: Entry
     left_rel: float | None = None
     gain_nats: float | None = None
+    whole: FullFit | None = None
 
 
 def joint_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSurvey, entry: Entry) -> JointFit:
@@ -141,7 +144,7 @@ def at_identifiable_bearings(
 def _harmonic_fit(model: Model, point: WorkingPoint, survey: BearingSurvey, entry: Entry) -> JointFit:
     """A periodic force and the model: near a resonance the force had biased the fit."""
     settings, after = fit_found_harmonics(model, point, entry.settings)
-    part = point_on_part(after, missing_force.SURVEY_S)
+    part = point_on_part(after, missing_force.survey_seconds(point.data.rate_hz))
     left = missing_force.survey(part, model, only=survey.missing.places_found())
     return JointFit(entry=replace(ranking.with_settings(entry, settings), after_percent=left.percent(part)))
 
@@ -151,7 +154,7 @@ def _nuisance_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSu
 
     In the residual of a model without the shape another shape may pass for the right one.
     """
-    part = y[: int(missing_force.SURVEY_S * point.data.rate_hz)]
+    part = y[: int(missing_force.survey_seconds(point.data.rate_hz) * point.data.rate_hz)]
 
     def fitted(one: Entry) -> tuple[JointFit, dict[str, ranking.Settings]] | None:
         try:
@@ -169,7 +172,7 @@ def _nuisance_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSu
             if NAMED[found.effect].adds_noise if found.effect in NAMED else False:
                 noisy.setdefault(found.effect, {}).update(found.settings)
         one = replace(one, after_percent=after.interval(places)[0])
-        return JointFit(entry=one, left_rel=rest / max(was, 1e-300)), noisy
+        return JointFit(entry=one, left_rel=rest / max(was, 1e-300), whole=whole), noisy
 
     if (found := fitted(entry)) is None:
         return JointFit(entry=entry)

@@ -32,6 +32,7 @@ from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_r
 
 MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the groups and locations tried
 SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
+SURVEY_ROWS = 600_000  # at least, of a record at a low rate
 NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
 
 
@@ -237,9 +238,14 @@ def stiffness_orders(model: Model) -> tuple[float, ...]:
     return (1.0, 2.0) if known is None else (1.0, 2.0, float(known))
 
 
+def survey_seconds(rate_hz: float) -> float:
+    """Length of the part of a record that is surveyed, s."""
+    return max(SURVEY_S, SURVEY_ROWS / rate_hz)
+
+
 def survey(
     point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Finding] = (),
-    seconds: float = SURVEY_S,
+    seconds: float | None = None,
 ) -> MissingForce:  # fmt: skip
     """The missing force of a model, from part of a long record.
 
@@ -253,15 +259,15 @@ def survey(
         Indices of the locations to judge; None judges all. The others count as explained.
     others : sequence of Finding
         Findings that no state explains.
-    seconds : float
-        Length of the part of the record that is used, s.
+    seconds : float or None
+        Length of the part of the record that is used; None: `survey_seconds`.
 
     Returns
     -------
     MissingForce
         Groups of regressors found at each location, and the forces of the findings.
     """
-    point = point_on_part(point, seconds)
+    point = point_on_part(point, seconds or survey_seconds(point.data.rate_hz))
     found = map_processes(_group_selections(point, model, only))
     return MissingForce(tuple(found), point.bearing_force).with_findings(others)
 

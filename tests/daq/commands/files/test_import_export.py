@@ -339,9 +339,7 @@ def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFi
     assert told["findings"] == []  # said once
 
 
-def test_what_makes_a_record_unfit_is_said_by_import_and_info(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_makes_a_record_unfit_is_said_by_import_and_info(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     y = samples()
     assert load(folder, write_npz(folder / "a.npz", y, b1y=y[:, 0] * 9.80665)) == 0
     assert "b1x and b1y carry the same signal" in capsys.readouterr().err

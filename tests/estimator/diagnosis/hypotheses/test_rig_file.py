@@ -36,12 +36,12 @@ def coupled() -> Model:
 @pytest.mark.parametrize("hypothesis", [ScaledMass("bearing1"), ScaledSpring()])
 def test_a_factor_changes_one_number_and_back(hypothesis: ScaledMass | ScaledSpring) -> None:
     model = coupled()
-    changed = hypothesis.apply(hypothesis.apply(model, (2.0,)), (0.5,))
+    changed = hypothesis.apply(hypothesis.apply(model, (2.0, 0.1)), (0.5, 0.1))
     assert changed.mass == pytest.approx(dict(model.mass))
     assert changed.shaft_stiffness == pytest.approx(model.shaft_stiffness)
-    (parameter,) = hypothesis.parameters(model, (2.0,)).values()
+    (parameter,) = hypothesis.parameters(model, (2.0, 0.1)).values()
     assert parameter.value in (2 * model.mass["bearing1"], 2 * model.shaft_stiffness)
-    assert (2.0,) in hypothesis.propose(RigFileContext(model=model))
+    assert (2.0, 1.0) in hypothesis.propose(RigFileContext(model=model))
 
 
 def test_channels_change_places_and_signs() -> None:
