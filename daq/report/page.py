@@ -127,9 +127,10 @@ def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> di
     """What the page shows of one diagnosis. number : on the ladder, from 0."""
     past = number + 1 < len(ladder)
     rows = worth_showing(diagnosis)
-    headings = {True: "What was missing", False: "What is left" if number else "What is missing"}
+    now = "What is left" if number else "What is missing"
+    heading = "What was missing" if past else now if words.is_of_the_model(diagnosis) else "What was found"
     return {
-        "heading": headings[past] + (f": step {number + 1}" if past and of > 2 else ""),
+        "heading": heading + (f": step {number + 1}" if past and of > 2 else ""),
         "model": figures.model_name(ladder[number]["effects"]) if number < len(ladder) else "",
         "past": past,
         "diagnosis": diagnosis,

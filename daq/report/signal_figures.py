@@ -15,7 +15,6 @@ from .figures import (
     floats,
     grid_of,
     label_axes,
-    new_figure,
     plain,
     svg,
 )
@@ -26,7 +25,8 @@ if TYPE_CHECKING:
 
 Json = Mapping[str, Any]
 HARMONICS_MARKED = 3  # of each defect frequency
-MIN_LABEL_DISTANCE = 0.075  # of the width of the axes
+MIN_LABEL_DISTANCE = 0.085  # of the width of the axes
+MIN_MODE_LABEL_DISTANCE = 0.25  # those labels are longer
 LABEL_ROWS = 5  # that labels close together are spread over; more of them are left out
 
 
@@ -35,7 +35,7 @@ def pictures(signal: Json) -> dict[str, str | None]:
     return {
         "measured": measured(signal.get("spectra", {})),
         "envelopes": envelopes(signal.get("envelopes", {})),
-        "modes": modes(signal.get("modes", ()), signal.get("spectra", {})),
+        "modes": modes(signal),
     }
 
 
@@ -85,7 +85,9 @@ def _room_above(ax: Axes, psd: Any) -> None:
         ax.set_ylim(low / 2, high * (high / low) ** 0.35)
 
 
-def label_marks(ax: Axes, marks: Sequence[Sequence[Any]], log: bool = False) -> None:
+def label_marks(
+    ax: Axes, marks: Sequence[Sequence[Any]], log: bool = False, distance: float = MIN_LABEL_DISTANCE
+) -> None:
     """Thin lines at frequencies with their labels at the top, close ones below each other."""
     low, high = ax.get_xlim()
     ends = [-np.inf] * LABEL_ROWS
@@ -94,7 +96,7 @@ def label_marks(ax: Axes, marks: Sequence[Sequence[Any]], log: bool = False) -> 
             continue
         at = np.log(hz / low) / np.log(high / low) if log else (hz - low) / (high - low)
         ax.axvline(hz, color=MODEL_COLOUR, linewidth=0.5, alpha=0.6, zorder=0)
-        row = next((k for k, end in enumerate(ends) if at - end >= MIN_LABEL_DISTANCE), None)
+        row = next((k for k, end in enumerate(ends) if at - end >= distance), None)
         if row is None:
             continue
         ends[row] = at
@@ -104,32 +106,41 @@ def label_marks(ax: Axes, marks: Sequence[Sequence[Any]], log: bool = False) -> 
         )  # fmt: skip
 
 
-def modes(found: Sequence[Json], spectra: Json) -> str | None:
-    """Frequency and damping ratio of each mode with standard deviations, over the spectrum of the first channel."""
-    if not found:
+def modes(signal: Json) -> str | None:
+    """Stabilisation diagram by place: the poles of fits with more and more modes, over the spectrum."""
+    found, poles = signal.get("modes", ()), signal.get("poles", ())
+    places = list(dict.fromkeys(point["place"] for point in (*found, *poles)))
+    if not places:
         return None
-    figure, (ax,) = new_figure(9.6, 3.2)
-    behind = ax.twinx()
-    s = next(iter(spectra.values()), None)
-    if s is not None:
-        f, psd = floats(s["frequency_hz"]), floats(s["psd"])
-        behind.semilogy(f, np.where(psd > 0, psd, np.nan), color="#bbbbbb", linewidth=0.7)
-    behind.set_yticks([])
-    behind.spines[["top", "right"]].set_visible(False)
-    ax.set_zorder(behind.get_zorder() + 1)
-    ax.patch.set_visible(False)
-    for k, place in enumerate(dict.fromkeys(mode["place"] for mode in found)):
-        own = [mode for mode in found if mode["place"] == place]
-        colour = (MODEL_COLOUR, BEFORE_COLOUR, "#009E73", "#CC79A7")[k % 4]
-        for mode in own:
-            ax.errorbar(
-                mode["frequency_hz"], 100 * mode["damping"], xerr=mode["frequency_sd"] or 0.0,
-                yerr=100 * (mode["damping_sd"] or 0.0), fmt="o", color=colour, capsize=3, markersize=6,
-                fillstyle="full" if mode["bearing"] else "none", label=place if mode is own[0] else None,
-            )  # fmt: skip
-    ax.set_xscale("log")
-    decade_ticks(ax)
-    ax.set_ylim(bottom=0.0)
-    ax.legend(fontsize=8, frameon=False)
-    label_axes(ax, "frequency, Hz", "damping ratio, %")
+    low, high = signal["band"]
+    figure, axes = grid_of(places, height=2.9)
+    for ax, place in zip(axes, places, strict=False):
+        behind = ax.twinx()
+        for s in signal["spectra"].values():
+            if s["place"] == place:
+                f, psd = floats(s["frequency_hz"]), floats(s["psd"])
+                inside = (f >= low) & (f <= high) & (psd > 0)
+                behind.semilogy(f[inside], psd[inside], color="#bbbbbb", linewidth=0.7)
+        behind.set_axis_off()
+        ax.set_zorder(behind.get_zorder() + 1)
+        ax.patch.set_visible(False)
+        ax.set_xscale("log")
+        ax.set_xlim(low, high)
+        for stable, fill in ((True, "full"), (False, "none")):
+            own = [p for p in poles if p["place"] == place and p["stable"] == stable]
+            at = [p["frequency_hz"] for p in own], [p["order"] for p in own]
+            ax.plot(*at, "o", color=BEFORE_COLOUR, fillstyle=fill, markersize=4.5)
+        most = max([p["order"] for p in poles if p["place"] == place], default=1)
+        ax.set_ylim(0.4, most * 1.5 + 0.6)
+        ax.set_yticks(range(1, most + 1))
+        decade_ticks(ax)
+        named = [(m["frequency_hz"], mode_label(m)) for m in found if m["place"] == place]
+        label_marks(ax, sorted(named), log=True, distance=MIN_MODE_LABEL_DISTANCE)
+        label_axes(ax, "frequency, Hz", "modes in the fit", place)
     return svg(figure, "modes")
+
+
+def mode_label(mode: Json) -> str:
+    """Frequency and damping of a mode; a star where it is the bearing's."""
+    star = "* " if mode["bearing"] else ""
+    return f"{star}{mode['frequency_hz']:.4g} Hz, {100 * mode['damping']:.2g} %"

@@ -43,13 +43,14 @@ def signal_spectra(model: Model, y: Array, rate_hz: float, diagnosis: Json) -> d
     -------
     dict
         ``spectra`` and ``envelopes``: {channel: {frequency_hz, psd, unit, marks: [[Hz, label]]}}; an envelope has its
-        `band_hz` too. ``modes``: those of the diagnosis.
+        `band_hz` too, a spectrum its `place`. ``modes``, ``poles``: those of the diagnosis. ``band``: of the model, Hz.
     """
     machine = diagnosis.get("machine") or {}
     strikes = machine.get("strikes", ())
     orders = defect_frequencies(model, machine)
     out: dict[str, Any] = {"spectra": {}, "envelopes": {}}
-    out["modes"] = list((diagnosis.get("structure") or {}).get("modes", ()))
+    structure = diagnosis.get("structure") or {}
+    out |= {"modes": structure.get("modes", ()), "poles": structure.get("poles", ()), "band": list(model.band)}
     for k, channel in enumerate(model.channels):
         pieces = finite_pieces(y[:, k]) if channel.kind in MOTION else []
         if not pieces:
@@ -59,7 +60,7 @@ def signal_spectra(model: Model, y: Array, rate_hz: float, diagnosis: Json) -> d
         seen = (f > 0) & (f >= min(MIN_AXIS_HZ, 0.1 * model.band[0]))
         f, psd = thinned(f[seen], psd[seen], [hz for hz, _ in marks])
         own = {"frequency_hz": f.tolist(), "psd": psd.tolist(), "unit": MOTION[channel.kind]}
-        out["spectra"][channel.name] = own | {"marks": readable(marks)}
+        out["spectra"][channel.name] = own | {"marks": readable(marks), "place": channel.place}
         band = next((t["band_hz"] for t in strikes if t["channel"] == channel.name and "band_hz" in t), model.band)
         reach = max([ENVELOPE_HARMONICS * hz for hz, _ in orders], default=DEFAULT_REACH_HZ)
         envelope = [squared_envelope(piece, rate_hz, band) for piece in pieces]

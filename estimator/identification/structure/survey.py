@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -194,6 +194,7 @@ class StructureSurvey:
         return {
             "modes": [mode.to_json() for mode in self.modes],
             "excitation": {place: spectrum.to_json() for place, spectrum in self.excitation.items()},
+            "poles": [{"place": p, **asdict(pole)} for p, own in self.places.items() for pole in own.poles],
         }
 
 

@@ -41,7 +41,10 @@ def diagnosis() -> dict[str, Any]:
             "tones": [tone, *[hum] * 20],
             "strikes": [strikes],
         },
-        "structure": {"modes": [mode | {"bearing": False}]},
+        "structure": {
+            "modes": [mode | {"bearing": True}],
+            "poles": [{"place": "bearing1.y", "order": 1, "frequency_hz": 3001.0, "damping": 0.02, "stable": True}],
+        },
         "bearing": {"judged": False, "reason": "several modes"},
     }
 
@@ -53,7 +56,7 @@ def test_the_layers_are_a_few_lines_in_their_order(diagnosis: dict[str, Any]) ->
     text = "\n".join(line for _, line in told)
     for words in (
         "rms 1.36 m/s²", "de spikes", "1796 ± 0.6 rpm", "1X 29.9 Hz", "mains 100 Hz", "and 15 others",
-        "BPFO strikes: order 3.585 (slip +0.1 %)", "3000 ± 9.0 Hz (damping 2 %)",
+        "BPFO strikes: order 3.585 (slip +0.1 %)", "3000 ± 9.0 Hz (damping 2 %, the bearing's)",
         "cannot be judged here: several modes",
     ):  # fmt: skip
         assert words in text, text
@@ -72,6 +75,6 @@ def test_spectra_are_drawn_with_tones_and_defect_frequencies_also_of_many_short_
     drawn = signal_figures.pictures(signal)
     assert "BPFO" in str(drawn["envelopes"])
     assert "1X" in str(drawn["measured"])
-    assert "bearing1.y" in str(drawn["modes"])
+    assert "* 3000 Hz, 2 %" in str(drawn["modes"])
     page = render("motor", diagnoses=[diagnosis], signal=signal)
     assert page.index("What the record shows") < page.index("Verdict:")
