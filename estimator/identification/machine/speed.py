@@ -16,14 +16,16 @@ from estimator.signals.shaft_angle import measured_phase
 
 from .machine_survey import ShaftSpeed
 from .spectra import LevelSpectrum
-from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
+from .tones import MAINS_HZ, MAINS_TOLERANCE_REL, Line, mains_at
 
 SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed than the rig file says
+RATE_CONTRADICTED = "rate_contradicted"  # the record was sampled at another rate than it says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
 SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
 TACHO_SD_TURNS = 0.02  # of the angle between the first and the last pulse: width of an edge, spline beyond it
-NAMEPLATE_REACH_REL = 0.03  # about the given speed: slip of an induction motor between no load and overload
+NAMEPLATE_REACH_REL = 0.05  # about the given speed: slip of an induction motor between no load and overload
 NAMEPLATE_SD_REL = 0.01  # of a given speed that the record does not confirm: usual slip
+MIN_RATE_ERROR_REL = 0.005  # deviation of shaft and mains from which a wrong rate is said
 CONTRADICTION_REL = 0.02  # between the record and the rig file, from which it is said: beyond the usual slip
 HARMONIC_COUNTS = (1, 3, 6)  # of the combs that are tried
 MAX_HARMONICS = HARMONIC_COUNTS[-1]
@@ -88,6 +90,20 @@ def tacho_angle(model: Model, y: Array, rate_hz: float) -> Array | None:
     except DataError:
         return None
     return phase if phase is not None and phase.size > 1 and phase[-1] > phase[0] else None
+
+
+def rate_contradiction(lines: Sequence[Line], speed: ShaftSpeed, given_rpm: float | None) -> list[Message]:
+    """The remark on a rate by which shaft and mains are off alike; it takes the place of one on the speed."""
+    if speed.source != "record" or not given_rpm:
+        return []
+    ratio = speed.value_rpm / given_rpm
+    if abs(ratio - 1.0) < MIN_RATE_ERROR_REL or (mains := mains_at(lines, ratio)) is None:
+        return []
+    text = (
+        f"shaft and mains ({mains:.0f} Hz) are {100 * abs(ratio - 1):.1f} % too {'low' if ratio < 1 else 'high'} alike: "
+        f"the true rate is likely {1 / ratio:.4f} x the one given"
+    )
+    return [Message(RATE_CONTRADICTED, text)]
 
 
 def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:

@@ -14,7 +14,7 @@ from estimator.results import Message
 from .machine_survey import MachineSurvey, StrikeTrain, Tone
 from .pieces import Pieces
 from .spectra import LevelSpectrum, level_spectra
-from .speed import shaft_speed
+from .speed import rate_contradiction, shaft_speed
 from .strikes import find_strikes
 from .tones import significant_lines, tones_of, without_strike_lines
 
@@ -51,8 +51,10 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
     units = {c.name: MOTION.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
-    lines = without_strike_lines(significant_lines(spectra), strikes, speed)
-    tones = tones_of(lines, speed, units, rms)
+    lines = significant_lines(spectra)
+    if speed is not None and (rate := rate_contradiction(lines, speed, model.speed_rpm)):
+        remarks = rate
+    tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
     shown, more = _shown(tones)
     return MachineSurvey(
         speed=speed, tones=shown, strikes=tuple(strikes), messages=(*missing, *remarks, *struck, *more)

@@ -91,6 +91,14 @@ def test_a_speed_that_the_record_contradicts_is_said() -> None:
     assert "speed_suggested" in [m.code for m in survey_of(x, None).messages]
 
 
+def test_a_wrong_rate_is_told_from_a_wrong_speed_by_the_mains() -> None:
+    n = int(10 * RATE_HZ)
+    x = coloured_noise(n) + sum(tone(0.976 * hz, 0.2, n) for hz in (25.0, 50.0, 60.0, 120.0))
+    (said,) = [m for m in survey_of(x).messages if m.code.endswith("contradicted")]
+    assert said.code == "rate_contradicted"
+    assert "1.0246 x" in said.text
+
+
 def test_one_tone_of_two_channels_is_one_entry() -> None:
     n = int(10 * RATE_HZ)
     y = np.column_stack([coloured_noise(n, 1) + tone(25.0, 0.3, n), coloured_noise(n, 2) + tone(25.0, 0.1, n)])
