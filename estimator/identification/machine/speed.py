@@ -100,8 +100,8 @@ def rate_contradiction(lines: Sequence[Line], speed: ShaftSpeed, given_rpm: floa
     if abs(ratio - 1.0) < MIN_RATE_ERROR_REL or (mains := mains_at(lines, ratio)) is None:
         return []
     text = (
-        f"shaft and mains ({mains:.0f} Hz) are {100 * abs(ratio - 1):.1f} % too {'low' if ratio < 1 else 'high'} alike: "
-        f"the true rate is likely {1 / ratio:.4f} x the one given"
+        f"shaft and mains stand alike at {ratio:.4f} x where they belong ({ratio * mains:.2f} for {mains:.0f} Hz): the "
+        f"true rate is {1 / ratio:.4f} x the one given, or a converter feeds the motor"
     )
     return [Message(RATE_CONTRADICTED, text)]
 

@@ -20,7 +20,6 @@ EDGE_BINS = 3  # at 0 Hz and at half the rate in which no line is looked for
 MAX_LINES_PER_LEVEL = 400
 MAINS_HZ = (50.0, 60.0)
 MAX_MAINS_MULTIPLE = 12
-MIN_SHIFTED_MAINS = 2  # multiples of the mains that show a wrong rate
 MAINS_TOLERANCE_REL = 2e-3  # of a grid from its nominal frequency, and of the clock of a recorder
 MAX_MAINS_TOLERANCE_REL = 0.015  # of the mains frequency; a record that places a line worse does not name it
 MAX_ORDER_TOLERANCE = 0.03  # of the shaft's frequency; what places a line worse calls one in twenty an order by chance
@@ -214,22 +213,23 @@ def _is_mains(line: Line, mains: float) -> bool:
 def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
     """The grid whose multiples stand in the record at a ratio to where they belong, Hz; None if one stands there too.
 
-    Both the first or second multiple and another have to stand at the ratio.
+    The first or the second multiple has to stand at the ratio.
     """
     for mains in MAINS_HZ:
         at = [_multiples(lines, mains * r) for r in (ratio, 1.0)]
-        if len(at[0]) >= MIN_SHIFTED_MAINS and at[0] & {1, 2} and not at[1]:
+        if at[0] & {1, 2} and not at[1]:
             return mains
     return None
 
 
 def _multiples(lines: Sequence[Line], hz: float) -> set[int]:
     """Which multiples of a frequency are lines."""
-    near = {round(line.hz / hz): line for line in lines if line.half_width_hz < MAX_MAINS_TOLERANCE_REL * hz}
     return {
         k
-        for k, line in near.items()
-        if 1 <= k <= MAX_MAINS_MULTIPLE and abs(line.hz / (k * hz) - 1.0) < MAINS_TOLERANCE_REL
+        for line in lines
+        if 1 <= (k := round(line.hz / hz)) <= MAX_MAINS_MULTIPLE
+        and line.half_width_hz < MAX_MAINS_TOLERANCE_REL * hz
+        and abs(line.hz / (k * hz) - 1.0) < MAINS_TOLERANCE_REL
     }
 
 
