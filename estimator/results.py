@@ -280,6 +280,7 @@ class Estimate:
 # Key of `Estimate.extra`, per cent of the bearing force: of all candidates together; with "_EFFECT" behind it, of one
 # candidate that is certainly missing.
 MISSING_FORCE_KEY = "missing_force_percent"
+SPIKES_KEY = "spikes_left_out"  # key of `Estimate.extra`: single samples far outside all others, since the start
 
 
 def certain_missing_effects(extra: Mapping[str, float]) -> list[str]:

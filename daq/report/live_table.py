@@ -11,7 +11,7 @@ from rich.text import Text
 from daq.base.console.tables import parameters_table
 from daq.base.contract.sink import Session
 from drivers.contract import Notice, Reading
-from estimator.results import MISSING_FORCE_KEY, certain_missing_effects
+from estimator.results import MISSING_FORCE_KEY, SPIKES_KEY, certain_missing_effects
 
 from .live_state import LiveState
 
@@ -25,6 +25,12 @@ def missing_text(extra: Mapping[str, float]) -> str:
         return ""
     like = ", ".join(f"{name} {extra[f'{MISSING_FORCE_KEY}_{name}']:.2f} %" for name in certain_missing_effects(extra))
     return f"missing force {total:.2f} % of the bearing force" + (f"   most like {like}" if like else "")
+
+
+def spikes_text(extra: Mapping[str, float]) -> str:
+    """The number of samples that the rolling estimate leaves out as spikes, in a line; "" without one."""
+    count = extra.get(SPIKES_KEY, 0.0)
+    return f"{count:.0f} spikes left out of the estimate: check the link and the cables" if count else ""
 
 
 class LiveTable(LiveState):
@@ -59,8 +65,9 @@ class LiveTable(LiveState):
         parts: list[object] = [Text(text)]
         if self.last_estimate is not None:
             shown = self.last_estimate.parameters
-            if text := missing_text(self.last_estimate.extra or {}):
-                parts.append(Text(text))
+            for text in (missing_text(self.last_estimate.extra or {}), spikes_text(self.last_estimate.extra or {})):
+                if text:
+                    parts.append(Text(text))
             if self._named:
                 parts.append(Text(self._named, style="bold"))
             parts.append(parameters_table(shown) if shown else Text(self.last_estimate.status))

@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.errors import RotorscopeError
-from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Session, SinkHealth, Status
 from daq.rig.rig import Rig
 from drivers.contract import Block, Gap, Info, Notice, Reading
 from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
+
+from .ring import KeptSamples
 
 KEPT_S = 30.0  # of samples
 ENOUGH_S = 7.0  # of the new state, to try the catalogue on
@@ -78,7 +79,7 @@ class Naming:
         self, rig: Rig, live: bool, ask: Callable[[Question], dict[str, Any]] = answer, enough_s: float = ENOUGH_S
     ) -> None:
         self._rig, self._live, self._ask, self._enough_s = rig, live, ask, enough_s
-        self._blocks: deque[Block] = deque()
+        self._kept = KeptSamples(rig.model, KEPT_S)
         self._notices: deque[Notice] = deque()
         self._rate_hz = 1.0
         self._info: Info | None = None
@@ -104,10 +105,7 @@ class Naming:
             elif isinstance(reading, Gap) and reading.count:
                 self._gap = True
             elif isinstance(reading, Block):
-                self._blocks.append(reading)
-                oldest = reading.index + len(reading.counts) - KEPT_S * self._rate_hz
-                while self._blocks[0].index + len(self._blocks[0].counts) <= oldest:
-                    self._blocks.popleft()
+                self._kept.append(reading)
 
     def estimate(self, estimate: Estimate) -> None:
         extra = estimate.extra or {}
@@ -136,7 +134,7 @@ class Naming:
 
     def _begin(self, info: Info) -> None:
         self._info, self._rate_hz = info, info.rate_hz
-        self._blocks.clear()
+        self._kept.begin(info)
         self._before, self._since = None, None
 
     def _look_for_a_jump(self, now: Estimate) -> None:
@@ -189,7 +187,7 @@ class Naming:
             return
         first = max(self._since or 0, index - round(KEPT_S * self._rate_hz))
         self._since, self._asked = None, index
-        y = self._samples(first, index)
+        y = self._kept.samples(first, index)
         rig, known = self._rig, tuple(self._known.items())
         question = Question(
             text=rig.text,
@@ -205,26 +203,6 @@ class Naming:
             return
         self._thread = threading.Thread(target=self._in_a_child, args=(question,), name="naming", daemon=True)
         self._thread.start()
-
-    def _samples(self, first: int, stop: int) -> Floats:
-        """(stop - first, channels of the rig) SI, NaN where there is nothing or it is clipped."""
-        names = [s.name for s in self._info.signals] if self._info else []
-        wanted = [c.name for c in self._rig.model.channels]
-        columns = [names.index(n) for n in wanted] if set(wanted) <= set(names) else list(range(len(wanted)))
-        out = np.full((stop - first, len(wanted)), np.nan)
-        if self._info is None:
-            return out
-        scaling = Scaling(self._info, columns)
-        for block in self._blocks:
-            low, high = max(first, block.index), min(stop, block.index + len(block.counts))
-            if low < high:
-                counts = scaling.select(block.counts[low - block.index : high - block.index])
-                rows = scaling.si(counts)
-                clipped = scaling.clipped(counts)
-                if clipped is not None:
-                    rows[clipped] = np.nan
-                out[low - first : high - first] = rows
-        return out
 
     def _in_a_child(self, question: Question) -> None:
         try:

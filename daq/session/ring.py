@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.base.contract.scaling import Scaling
+from drivers.contract import Block, Info
+from estimator import Model
 
 
 class Ring:
@@ -69,3 +75,47 @@ class Ring:
         self._present[at : at + count] = present
         self._present[at + capacity : at + capacity + before_wrap] = present
         self._present[: count - before_wrap] = present
+
+
+class KeptSamples:
+    """Blocks of the last seconds. model : its channels are the columns; seconds : that are kept."""
+
+    def __init__(self, model: Model, seconds: float) -> None:
+        self._model, self._seconds = model, seconds
+        self._blocks: deque[Block] = deque()
+        self._info: Info | None = None
+        self.rate_hz = 1.0
+        self.stop = 0  # absolute index behind the last sample
+
+    def begin(self, info: Info) -> None:
+        """Forget everything: the device has said anew what it is."""
+        self._info, self.rate_hz = info, info.rate_hz
+        self._blocks.clear()
+
+    def append(self, block: Block) -> None:
+        """Take a block, and drop what is too old."""
+        self._blocks.append(block)
+        self.stop = block.index + len(block.counts)
+        oldest = self.stop - self._seconds * self.rate_hz
+        while self._blocks[0].index + len(self._blocks[0].counts) <= oldest:
+            self._blocks.popleft()
+
+    def samples(self, first: int, stop: int) -> NDArray[np.float64]:
+        """(stop - first, channels of the rig) SI, NaN where there is nothing or it is clipped."""
+        names = [s.name for s in self._info.signals] if self._info else []
+        wanted = [c.name for c in self._model.channels]
+        columns = [names.index(n) for n in wanted] if set(wanted) <= set(names) else list(range(len(wanted)))
+        out = np.full((stop - first, len(wanted)), np.nan)
+        if self._info is None:
+            return out
+        scaling = Scaling(self._info, columns)
+        for block in self._blocks:
+            low, high = max(first, block.index), min(stop, block.index + len(block.counts))
+            if low < high:
+                counts = scaling.select(block.counts[low - block.index : high - block.index])
+                rows = scaling.si(counts)
+                clipped = scaling.clipped(counts)
+                if clipped is not None:
+                    rows[clipped] = np.nan
+                out[low - first : high - first] = rows
+        return out

@@ -9,7 +9,7 @@ from estimator.errors import DataError
 from estimator.model.rig import MOTION, Model
 
 from .machine import MachineSurvey, survey_machine
-from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record
+from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
 from .structure import StructureSurvey, bearing_mode, survey_structure
 
 NO_BEARING_MODE = "no_bearing_mode"  # code: no mode of a place can be the bearing's
@@ -37,6 +37,7 @@ class Layers:
 def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
     """The layers of a record. y : (n, channels), SI. Nothing is raised."""
     record = survey_record(model, y, rate_hz)
+    y = without_spikes(model, y, record)
     machine = survey_machine(model, y, rate_hz, record)
     structure = survey_structure(model, y, rate_hz, record, machine)
     return Layers(record=record, machine=machine, structure=structure)

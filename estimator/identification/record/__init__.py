@@ -2,8 +2,9 @@
 
 from .clipping import clipping_level, pileup_p_value
 from .findings import ChannelSummary, RecordFinding, RecordSurvey
+from .spikes import spike_rows
 from .survey import survey_record
-from .usable import UsableRecord, level_parameter, record_messages, usable_record
+from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
 
 __all__ = [
     "ChannelSummary",
@@ -14,6 +15,8 @@ __all__ = [
     "level_parameter",
     "pileup_p_value",
     "record_messages",
+    "spike_rows",
     "survey_record",
     "usable_record",
+    "without_spikes",
 ]

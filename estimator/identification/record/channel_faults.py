@@ -14,11 +14,11 @@ from estimator.model.rig import MOTION, Channel
 
 from .channel_summary import power_spectrum, stretches, velocity_rms
 from .clipping import clipping_level
-from .findings import RecordFinding
+from .findings import SPIKES_CODE, RecordFinding
+from .spikes import GAUSSIAN_MAD, spike_rows
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
 LEVELS_SAMPLES = 1 << 17  # samples that the levels of a converter are counted in
 
 
@@ -177,30 +177,16 @@ def _few_levels(record: ChannelRecord) -> RecordFinding | None:
 
 
 def _spikes(record: ChannelRecord) -> Iterator[RecordFinding]:
-    """Single samples far outside all others; no vibration that passed an anti-alias filter has them."""
-    y, limits = record.y, record.limits
-    if record.z.size < 16 or record.robust_sd == 0.0:
-        return
-    with np.errstate(over="ignore"):
-        size = np.abs(y - record.median) / record.robust_sd
-    size = np.where(np.isfinite(size), size, np.where(np.isfinite(y), np.inf, 0.0))
-    rows = np.flatnonzero(size > limits.min_spike_sd)
-    if not rows.size or rows.size > 0.01 * y.size:
-        return
-    near = np.zeros(rows.size)
-    for shift in (-4, -3, -2, 2, 3, 4):  # a spike may have two samples
-        at = np.clip(rows + shift, 0, y.size - 1)
-        own = np.abs(at - rows) < 2
-        near = np.maximum(near, np.where(own, 0.0, size[at]))
-    rows = rows[size[rows] > limits.min_spike_ratio * np.maximum(near, 1.0)]
+    """Single samples far outside all others."""
+    rows = spike_rows(record.y, record.limits)
     if not rows.size:
         return
-    top = int(rows[np.argmax(size[rows])])
+    top = int(rows[np.argmax(np.abs(record.y[rows] - record.median))])
     more = f", the largest of {rows.size}" if rows.size > 1 else ""
     yield record.finding(
-        "spikes",
-        f"has a spike of {y[top]:.3g} {record.unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest has an "
-        f"rms of {record.robust_sd:.3g} {record.unit}: no vibration, remove it (NaN) and check the link and the cable",
+        SPIKES_CODE,
+        f"has a spike of {record.y[top]:.3g} {record.unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest "
+        f"has an rms of {record.robust_sd:.3g} {record.unit}: no vibration, left out; check the link and the cable",
         tuple((int(row), int(row) + 1) for row in rows),
     )
 

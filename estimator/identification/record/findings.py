@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+SPIKES_CODE = "spikes"  # its rows are left out of everything
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelSummary:

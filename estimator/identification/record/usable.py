@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from estimator.arrays import Array
 from estimator.effects import found_by
 from estimator.effects.engine.custom import effect_of
@@ -14,7 +16,7 @@ from estimator.model.rig import MOTION, UNITS, EffectUse, Model
 from estimator.results import Message, Parameter
 
 from .clipping import clipping_level
-from .findings import RecordSurvey
+from .findings import SPIKES_CODE, RecordSurvey
 
 LEVEL_SD_REL = 1e-3  # of the level of a limiter: noise behind it blurs it
 
@@ -61,6 +63,7 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
         finding that condemns a channel.
     """
     y = check_shape(model, y)
+    y = without_spikes(model, y, survey)
     messages = record_messages(survey)
     kept = [k for k, channel in enumerate(model.channels) if channel.name not in survey.unjudged]
     plain = tuple(u for u in model.effects if found_by(u.name) != "samples")  # a clipped channel is left out, no law
@@ -92,6 +95,19 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
     return UsableRecord(
         model=replace(left, effects=tuple(effects)), y=y[:, kept], messages=messages, parameters=parameters
     )
+
+
+def without_spikes(model: Model, y: Array, survey: RecordSurvey) -> Array:
+    """The record with NaN in place of its spikes; itself if it has none. y : (n, channels), SI."""
+    names = [channel.name for channel in model.channels]
+    spikes = [(names.index(f.channels[0]), f.rows) for f in survey.findings if f.code == SPIKES_CODE]
+    if not spikes:
+        return y
+    out = np.array(y, dtype=np.float64)
+    for k, rows in spikes:
+        for first, stop in rows:
+            out[first:stop, k] = np.nan
+    return out
 
 
 def _clipping_levels(model: Model, y: Array) -> dict[str, Parameter]:

@@ -21,11 +21,12 @@ from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.report import judged_parameters
+from estimator.identification.record import spike_rows
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.motion.stream_record import Record, as_record, notches
 from estimator.model.rig import Model
-from estimator.results import Estimate
+from estimator.results import SPIKES_KEY, Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion
 from estimator.signals.blocks import BlockLayout, block_layout
 from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
@@ -59,7 +60,7 @@ class RollingEstimator:
         Catalogue effects whose force is looked for in the residual force. The `extra` of an estimate then holds
         ``missing_force_percent``, the rms force that all of them together would explain in per cent of the rms linear
         bearing force, and ``missing_force_percent_NAME`` for each effect that is certain. An empty tuple halves the
-        cost, and `extra` is None.
+        cost. After a spike `extra` also holds ``spikes_left_out``, the number of samples that were left out.
 
     Raises
     ------
@@ -115,6 +116,7 @@ class RollingEstimator:
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
         self._unshown = ""  # why a block since the last estimate was of no use: a law that is not finite
+        self._spikes = 0  # samples left out
         self._fault = ""  # why the last block is of no use: a place that does not move, a law that is not finite
         gains = _sensor_gains(self.model)[self._used]
         self._gain = None if (gains == 1.0).all() else gains
@@ -131,7 +133,7 @@ class RollingEstimator:
             return
         self._since_solved += len(block)
         self._shaft.push(block)
-        y = block[:, self._used]
+        y = self._without_spikes(block[:, self._used])
         motion = self._filter.push(y if self._gain is None else y / self._gain)
         if motion.rows:
             self._kept.append(motion)
@@ -141,9 +143,21 @@ class RollingEstimator:
         elif motion.rows:
             self._start()
 
+    def _without_spikes(self, y: Array) -> Array:
+        """A block (rows, channels) with NaN in place of its spikes: one would hide the motion for a time constant."""
+        for k, channel in enumerate(y.T):
+            if (rows := spike_rows(channel)).size:
+                y = y.copy()
+                y[rows, k] = np.nan
+                self._spikes += rows.size
+        return y
+
     def snapshot(self) -> Estimate:
         """The estimate as of the last update."""
-        return replace(self._estimate, index=self._seen)
+        extra = self._estimate.extra
+        if self._spikes:
+            extra = {**(extra or {}), SPIKES_KEY: float(self._spikes)}
+        return replace(self._estimate, index=self._seen, extra=extra)
 
     def _show_nothing(self, status: str) -> None:
         """The estimate has no parameters, for this reason."""

@@ -85,3 +85,14 @@ def test_pulses_of_a_tacho_are_no_clipped_motion(rig: Model) -> None:
 
 def test_a_pile_of_more_samples_is_less_likely_by_chance() -> None:
     assert 1e-5 > pileup_p_value(24) > pileup_p_value(40) > pileup_p_value(400)
+
+
+def test_a_spike_is_left_out_of_a_fit_and_said(rig: Model, record: NDArray[np.float64]) -> None:
+    y = record.copy()
+    y[40_000, 0] = 1e6
+    plain, found = fit(rig, record, RATE), fit(rig, y, RATE)
+    assert [m.code for m in found.messages if m.place == "bearing1.x"] == ["spikes"]
+    p, q = found.parameters["bearing1.x.kL"], plain.parameters["bearing1.x.kL"]
+    assert p.value is not None
+    assert q.value is not None
+    assert abs(p.value - q.value) < (q.sd or 0.0)

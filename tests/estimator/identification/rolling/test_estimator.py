@@ -181,3 +181,19 @@ def test_a_place_that_does_not_move_is_named(record: np.ndarray, dead: str) -> N
     last = run(RollingEstimator(rig_model(), RATE, 5.0, watch=()), y)[-1]
     assert not last.parameters
     assert f"{PLACES[0 if dead == 'all' else 1]} does not move" in last.status
+
+
+@pytest.mark.slow
+def test_one_wild_sample_is_left_out_and_said(record: np.ndarray) -> None:
+    """It hid the motion for as long as the memory, with the status ok."""
+    spiked = record.copy()
+    spiked[int(9.0 * RATE), 0] = 1e6
+    plain = run(RollingEstimator(rig_model(), RATE, 10.0), record)[-1]
+    last = run(RollingEstimator(rig_model(), RATE, 10.0), spiked)[-1]
+    assert last.extra is not None
+    assert last.extra["spikes_left_out"] == 1.0
+    assert "spikes_left_out" not in (plain.extra or {})
+    for name in ("bearing1.x.kL", "bearing1.x.c", "bearing1.x.S"):
+        p, q = last.parameters[name], plain.parameters[name]
+        assert p.value is not None
+        assert abs(p.value - q.value) < 0.5 * q.sd
