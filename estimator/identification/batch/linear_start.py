@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
 from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
@@ -30,8 +29,6 @@ from estimator.signals.blocks import FrequencyNodes, block_spectra, frequency_no
 
 LINEAR_START_S = 20.0  # of the record, for the start
 MIN_DAMPING_RATIO = 0.002  # of critical: lower end of the scan
-# do work on the rotor: a fit without them may have no damping
-ENERGY_FEEDING_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.feeds_energy)
 START_MASSES_REL = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc: start values of unknown cap masses
 
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.force_balance import Balance
-from estimator.likelihood.motion.stream_record import Bank, Record, stretches
+from estimator.likelihood.motion.stream_record import Bank, Record
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
 from estimator.likelihood.path.sandwich import fold_tangent_scores
 from estimator.model.rig import UNITS, Model
 from estimator.results import Message, Parameter, with_unidentifiable_at
-from estimator.signals.blocks import block_spectra, taper, valid_blocks
 
 from .linear_start import LinearStart
 from .maximum import inverse, maximum
@@ -96,31 +95,6 @@ def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Arr
     covariance[loose, loose] = np.inf
     bread[np.ix_(used, used)] = covariance
     return bread
-
-
-def residual_force(gram_fit: SpectralFit) -> Array:
-    """(places, n) residual force in the band, N; NaN where no whole block is valid.
-
-    Synthesised from the blocks of the likelihood: window, bins of the band, window, overlap and add.
-    """
-    record, grid, balance = gram_fit.record, gram_fit.record.grid, gram_fit.balance
-    columns = record.columns(balance, gram_fit.start.widths, gram_fit.start.linear)
-    B = balance.coefficients(gram_fit.point.beta)
-    out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
-    w = taper(grid.size)
-    for group in stretches(valid_blocks(record.motion.valid, grid), 8):
-        at = int(group[0]) * grid.hop
-        z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
-        Z = block_spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
-        full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
-        full[:, :, grid.bins] = Z
-        series = np.fft.irfft(full, grid.size, axis=2)
-        for b in range(group.size):
-            rows = slice(at + b * grid.hop, at + b * grid.hop + grid.size)
-            out[:, rows] += series[:, b] * w
-            weight[rows] += w * w
-    out[:, weight < 0.999] = np.nan
-    return out
 
 
 def fitted_parameters(gram_fit: SpectralFit) -> dict[str, Parameter]:

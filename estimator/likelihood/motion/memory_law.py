@@ -36,7 +36,7 @@ DERIVATIVE_STEP_REL = 1e-7  # change of a state or of the motion over its larges
 
 @dataclass(frozen=True, slots=True)
 class LinearisedMemory:
-    """Linearisation of S states and of the force about a path of n rows, of one law or several.
+    """Linearisation of S states and of the force about a path of n rows.
 
     step : (n, S, S + 2) derivatives of the states' change over a step by the states before, the mean displacement and
     its rise. force : (n, S + 2) derivatives of the force by the states, x and v.
@@ -44,22 +44,6 @@ class LinearisedMemory:
 
     step: Array
     force: Array
-
-
-def stacked_states(laws: list[LinearisedMemory]) -> LinearisedMemory:
-    """The states of several laws as one."""
-    if len(laws) == 1:
-        return laws[0]
-    n, sizes = len(laws[0].force), [q.step.shape[1] for q in laws]
-    S, first = sum(sizes), 0
-    step, force = np.zeros((n, S, S + 2)), np.zeros((n, S + 2))
-    for size, law in zip(sizes, laws, strict=True):
-        own = slice(first, first + size)
-        step[:, own, own], step[:, own, S:] = law.step[..., :size], law.step[..., size:]
-        force[:, own] = law.force[:, :size]
-        force[:, S:] += law.force[:, size:]
-        first += size
-    return LinearisedMemory(step, force)
 
 
 def force_along_path(

@@ -196,15 +196,6 @@ def fill_products(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: A
     G[at[:, None], at] = square
 
 
-def likelihood_gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
-    """Nats that the trial regressors gain over the refitted base on the whole record, and the fit with them."""
-    everything = np.arange(TIME_FOLDS)
-    full = problem.fit(ridge=ridge, steps=steps)
-    plain = problem.without_extra()
-    base = plain.fit(steps=steps)
-    return problem.likelihood(full, everything) - plain.likelihood(base, everything), full
-
-
 def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
     """(folds,) nats gained on each time fold by parameters fitted to the others."""
     plain = problem.without_extra()

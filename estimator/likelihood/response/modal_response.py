@@ -16,7 +16,6 @@ from estimator.model.disc import Disc
 from estimator.model.rotor import shaft_at_caps, shaft_matrix
 
 MIN_MODE_POWER_REL = 0.01  # variance under white force over that of the largest mode; weaker modes are not waited for
-END_SEARCH_POINTS = 1000  # times at which the end of a response is searched
 SLOWEST_MODE_SHARE = 0.1  # decays of the slowest mode over decays of the mean over modes that a record has to hold
 MIN_RESIDUE_REL = 1e-6  # of the largest residue; smaller ones are modes of other caps
 
@@ -61,13 +60,6 @@ class ModalResponse:
     def unfinished(self, seconds: float) -> float:
         """Share of the power of the impulse response that comes later than `seconds`."""
         return float(self._power @ np.exp(2.0 * seconds * self.poles.real) / self._power.sum())
-
-    def over(self, left: float) -> float:
-        """Time, s, after which only the share `left` of the power of the impulse response is to come."""
-        power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
-        part = power > left
-        t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), END_SEARCH_POINTS)
-        return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays[part])) @ power[part] <= left)])
 
     @property
     def stiffness(self) -> float:

@@ -12,7 +12,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response, stacked_states
+from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response
 from estimator.likelihood.path.working_point import point_on_part
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
@@ -98,22 +98,6 @@ def test_what_is_linearised_is_the_derivative_along_the_path(name: str) -> None:
             states = about.step[k] @ [*states, 0.5 * (dx[k] + dx[k + 1]), dx[k + 1] - dx[k]]
     expected = force_along_path(effect, p, LIN, x + dx, v + dv, dt, rest, about=False)[0] - f
     assert np.linalg.norm(moved - expected) < 2e-3 * np.linalg.norm(expected)
-
-
-def test_laws_together_are_each_on_its_own() -> None:
-    x, v = path(0.02)
-    laws = [
-        force_along_path(CATALOGUE[name], np.array(p), LIN, x, v, 1.0 / RATE, np.zeros(CATALOGUE[name].states))[2]
-        for name, p in (("bouc_wen", [2.0, 0.3]), ("pedestal", [0.4, 900.0, 0.02]))
-    ]
-    assert laws[0] is not None
-    assert laws[1] is not None
-    both = stacked_states([laws[0], laws[1]])
-    z, motion = np.random.default_rng(0).normal(size=3), np.array([0.3, -0.7])
-    apart = [q.step[7] @ [*own, *motion] for q, own in zip((laws[0], laws[1]), (z[:1], z[1:]), strict=True)]
-    assert both.step[7] @ [*z, *motion] == pytest.approx(np.concatenate(apart))
-    force = [q.force[7] @ [*own, *motion] for q, own in zip((laws[0], laws[1]), (z[:1], z[1:]), strict=True)]
-    assert both.force[7] @ [*z, *motion] == pytest.approx(sum(force))
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion import linear_memory
-from estimator.likelihood.response.modal_response import ModalResponse, modal_responses, single_mass_response
+from estimator.likelihood.response.modal_response import modal_responses, single_mass_response
 from estimator.model.disc import Disc
 from estimator.model.rig import Shaft
 from estimator.model.rotor import shaft_at_caps, shaft_matrix
@@ -74,21 +74,7 @@ def test_a_cap_by_itself(c: float) -> None:
         assert mean.decay == pytest.approx(2 * m / c)
         assert mean.quick == pytest.approx(mean.decay)
         assert mean.unfinished(2.0 * mean.decay) == pytest.approx(np.exp(-4.0))
-        assert mean.over(np.exp(-10.0)) == pytest.approx(5.0 * mean.decay, rel=0.01)
         assert mean.width == pytest.approx(c * np.sqrt(k / m), rel=1e-3)
-
-
-@pytest.mark.parametrize("slow", [1e-5, 4e-5, 1e-3, 0.1])
-def test_an_answer_is_over_though_a_weak_mode_rings_on(slow: float) -> None:
-    """slow : its share of the power, which is residue^2 over the decay."""
-    decays = np.array([100.0, 2.0])
-    poles = -decays + 1j * np.array([9000.0, 3000.0])
-    mean = ModalResponse(poles, np.sqrt(np.array([1.0 - slow, slow]) * decays).astype(complex))
-    t = mean.over(left := float(np.exp(-10.0)))
-    assert 0.0 < t < 5.1 / 2.0
-    power = np.array([1.0 - slow, slow])
-    part = power > left
-    assert power[part] @ np.exp(-2.0 * decays[part] * t) <= left
 
 
 def test_a_mode_that_grows_is_not_sound() -> None:
