@@ -24,7 +24,7 @@ FIT_HINT = "rotorscope fit has its numbers"
 CLIPPED_REASON = "its sensor is clipped: what that took away is missing from the motion"
 BREATHING_SHAFT_REASON = f"beside a shaft that breathes: {FIT_HINT}"
 MIN_CRACK_STIFFNESS_REL = 1e-3  # of the stiffness at a place: a weaker crack does not bias it
-EVEN_LAW_REASON = f"a few per cent off, as an accelerometer does not show slow displacement: {FIT_HINT}"
+EVEN_LAW_REASON = f"an accelerometer does not show the slow displacement that a law makes here: {FIT_HINT}"
 WRITE_HINT = "rotorscope fit --out writes what it finds"
 
 
@@ -43,14 +43,18 @@ class RollingScope:
     lacking: Mapping[str, str]
     approximate: frozenset[str] = frozenset()
 
-    def _is_approximate(self, name: str, p: Parameter) -> bool:
-        """Whether a parameter is estimated without the displacement below the band that a law at its place makes."""
-        return p.identifiable and p.sd != 0.0 and any(name.startswith(f"{place}.") for place in self.approximate)
+    def _beside_even_law(self, name: str, p: Parameter) -> Parameter:
+        """A parameter as it is shown where a law makes a slow displacement: no number of a law, and linear ones with
+        the reason why they are a little off."""
+        if not p.identifiable or p.sd == 0.0 or not any(name.startswith(f"{place}.") for place in self.approximate):
+            return p
+        if name.count(".") > 2:
+            return Parameter(None, None, p.unit, identifiable=False, reason=EVEN_LAW_REASON)
+        return replace(p, reason=EVEN_LAW_REASON)
 
     def shown(self, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
         """All parameters by full name: those found, without the places that lack something, and those not estimated."""
-        out = {name: replace(p, reason=EVEN_LAW_REASON) if self._is_approximate(name, p) else p
-               for name, p in found.items()}  # fmt: skip
+        out = {name: self._beside_even_law(name, p) for name, p in found.items()}
         for name, p in found.items():
             node, direction = name.split(".")[:2]
             own = f"{node}.{direction}" if direction in DIRECTIONS else node  # of both directions of a node
@@ -96,13 +100,19 @@ def rolling_scope(model: Model) -> RollingScope:
                     not_estimated[names[q.name]] = Parameter(s.value, 0.0, q.unit, reason="given")
         if new:
             kept.append(replace(use, parameters=new))
+    shown = {c.place for c in model.channels if c.kind == "displacement"}
     even = [u for u in kept if has_even_part(e := effect_of(u), usual_parameters(e), usual_sizes(e))]
     return RollingScope(
         replace(model, effects=tuple(kept)),
         not_estimated,
         lacking,
-        frozenset(key for u in even for key in u.parameters),
+        frozenset(key for u in even for key in u.parameters if not shown.intersection((key, *_directions(key)))),
     )
+
+
+def _directions(node: str) -> tuple[str, ...]:
+    """The places of a node such as "bearing1"."""
+    return tuple(f"{node}.{d}" for d in DIRECTIONS)
 
 
 def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:

@@ -261,27 +261,6 @@ def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
     assert fit[f"{PLACE}.kL"].value == pytest.approx(KL, rel=1e-3)
 
 
-def made_both(pair: tuple[str, str]) -> Array:
-    sensors = [heard(n, *HIDDEN[n]) for n in pair if n != "pedestal"]
-
-    def sensor(a: Array) -> Array:
-        for apply in sensors:
-            a = apply(a)
-        return a
-
-    p = HIDDEN["pedestal"]
-    return record(seed=3, pedestal=(p[0], p[1], p[2]) if "pedestal" in pair else None, sensor=sensor)  # type: ignore[misc]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pair", [("sensor_gain", "sensor_skew"), ("pedestal", "sensor_gain")])
-def test_improve_finds_both_and_stops(pair: tuple[str, str]) -> None:
-    ladder = improve(RIG, made_both(pair), RATE)
-    assert set(ladder.rungs[-1].effects) == set(pair)
-    assert ladder.last.verdict == "complete"
-    assert ladder.rungs[-1].simulation_rmse["a"] < 0.05 * ladder.rungs[0].simulation_rmse["a"]
-
-
 def rippled() -> Array:
     """An acceleration through a cable with a rippled response: nothing of the catalogue."""
     y = record(seed=3)

@@ -152,10 +152,10 @@ def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
     assert last[0] == last[1]
     for use in truth.effects:
         for place, settings in use.parameters.items():
-            for name, setting in settings.items():
+            for name in settings:
                 p = last[0][f"{place}.{use.name}.{name}"]
-                assert p.value is not None
-                assert abs(p.value - (setting.value or 0.0)) < 3.5 * (p.sd or 0.0)
+                assert p.value is None
+                assert "rotorscope fit has its numbers" in p.reason
 
 
 @pytest.mark.slow
