@@ -21,12 +21,13 @@ from typing import Any
 
 RIGHT, HONEST, WRONG, LATE = "right", "honest", "wrong", "late"
 ORDER_TOLERANCE = 0.02  # relative, of the order of strikes that are there, slip included: that of the real records
+SPEED_TOLERANCE = 0.01  # relative: the speed wanders by up to as much
 LINE_TOLERANCE_HZ = 0.5
 RULES = ("over 100 %", "named at 0.00 %", "more than ten notes", "a warning")  # that no answer may break
 BLAMED = ("shaft_differs", "rig_file")  # codes of remarks that blame the rig file
 KEYS = {  # what an answer must name for each mistake: a key of the parameters, or channels
-    "cap_mass": r"mass\.bearing1", "disc_mass": r"mass\.disc", "shaft_spring": r"shaft_spring", "speed": r"speed",
-    "rate": r"rate", "swapped": r"swap.*b(1y|2x)|b(1y|2x).*swap",
+    "cap_mass": r"mass\.bearing1", "disc_mass": r"mass\.disc", "shaft_spring": r"shaft_spring", "speed": r"speed_rpm",
+    "rate": r"rate_hz", "swapped": r"swap.*b(1y|2x)|b(1y|2x).*swap",
     "inverted": r"(polarity|inver).*b[12]x|b[12]x.*(polarity|inver)",
 }  # fmt: skip
 
@@ -55,13 +56,12 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> Judgement:
 
 def _verdict(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[str, str]:
     verdict, hidden, mistake = answer["verdict"], truth["hidden"], truth["mistake"]
-    said = " | ".join(answer["messages"])
     blamed = [c for c in answer["codes"] if c in BLAMED]
     if verdict == "rig_file" or blamed and not mistake:
         named = verdict == "rig_file" and mistake and re.search(KEYS[mistake], _key_text(answer))
         return (RIGHT, "the mistake is named") if named else (WRONG, f"blames {_key_text(answer) or blamed}")
     if mistake:
-        if re.search(KEYS[mistake], said + _findings(answer)) and verdict in ("unknown", "complete"):
+        if verdict in ("unknown", "complete") and _remarked(mistake, answer, truth):
             return HONEST, f"{verdict}, and a remark names the mistake"
         return _without(verdict, answer, truth)
     if "added" in answer:
@@ -152,6 +152,14 @@ def _untrue(reason: str, truth: dict[str, Any]) -> str:
 def _key_text(answer: dict[str, Any]) -> str:
     first = next((r for r in answer["ranking"] if r["effect"] == "rig_file"), {"parameters": {}})
     return " ".join([*(first["parameters"] or {}), *(answer["parameters"] or {}), *answer["messages"][:3]])
+
+
+def _remarked(mistake: str, answer: dict[str, Any], truth: dict[str, Any]) -> bool:
+    """Whether a remark beside the verdict tells the mistake: for a speed with the true one."""
+    if mistake == "speed":
+        speed = ((answer.get("machine") or {}).get("speed_rpm") or {}).get("value") or 0.0
+        return "speed_contradicted" in answer["codes"] and abs(speed / truth["rpm"] - 1) < SPEED_TOLERANCE
+    return bool(re.search(KEYS[mistake], " | ".join([*answer["messages"], _findings(answer)])))
 
 
 def _findings(answer: dict[str, Any]) -> str:
