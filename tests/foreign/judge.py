@@ -28,7 +28,7 @@ BLAMED = ("shaft_differs", "rig_file")  # codes of remarks that blame the rig fi
 KEYS = {  # what an answer must name for each mistake: a key of the parameters, or channels
     "cap_mass": r"mass\.bearing1", "disc_mass": r"mass\.disc", "shaft_spring": r"shaft_spring", "speed": r"speed_rpm",
     "rate": r"rate_hz", "swapped": r"swap.*b(1y|2x)|b(1y|2x).*swap",
-    "inverted": r"(polarity|inver).*b[12]x|b[12]x.*(polarity|inver)",
+    "inverted": r"(polarity|inver|sign).*b[12]x|b[12]x.*(polarity|inver|sign)",  # one beside the other
 }  # fmt: skip
 
 
@@ -144,7 +144,7 @@ def _untrue(reason: str, truth: dict[str, Any]) -> str:
         "no resonance": low < truth["f0"] < high and truth["zeta"] < 0.1,
         "clip": "sensor_clipping" not in truth["hidden"],
         "too short": truth["seconds"] * truth["f0"] * truth["zeta"] > 100,
-        "mass": truth["masses_known"],
+        "mass is unknown": truth["masses_known"],
     }
     return next((f" untruly ({word})" for word, so in untrue.items() if word in reason and so), "")
 
