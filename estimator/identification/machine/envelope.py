@@ -14,7 +14,7 @@ Rolling element bearing diagnostics - a tutorial, Mech. Syst. Signal Process. 25
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ BANDS_PER_RATE = (1, 2, 4, 6, 8, 12, 16, 24)  # bands that share the range up to
 MIN_BAND_OVER_HIGHEST = 0.25  # width of a band over the highest frequency asked for
 TOP_OF_NYQUIST = 0.94  # part of the range below half the rate that a recorder passes
 FLOOR_BLOCK_HZ, FLOOR_BLOCK_BINS = 20.0, 8  # of the floor that whitens: wider than a line, narrower than a mode
+ANGLE_POINTS = 4096  # of a piece at which the angle of the shaft is followed
 TONE_NOISE_HZ = 10.0  # a tone counts no more than the noise in so many hertz
 MIN_TONE_RATIO = 9.0  # power over the floor that is never bounded: noise does not reach it
 
@@ -63,23 +64,31 @@ class EnvelopeSpectrum:
 
 
 def envelope_spectra(
-    pieces: Pieces, highest_hz: float, level_s: float, bank: tuple[int, ...] = BANDS_PER_RATE
+    pieces: Pieces,
+    highest_hz: float,
+    level_s: float,
+    bank: tuple[int, ...] = BANDS_PER_RATE,
+    angle: Array | None = None,
 ) -> list[EnvelopeSpectrum]:
     """Spectra of the squared envelope up to a frequency in every band of a bank.
 
     pieces : of one channel. level_s : time over which the level is made equal, longer than any period of interest.
-    bank : numbers of equal bands that share the range up to half the rate.
+    bank : numbers of equal bands that share the range up to half the rate. angle : (n,) rad of the shaft along the
+    record, with which the envelope is taken at equal steps of the angle, in Hz at the mean speed; None: against time.
     """
     if not len(pieces):
         return []
     gain = _whitening(pieces)
     edges = list(_bands(pieces, highest_hz, bank))
     sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
+    first = 0
     for group in pieces.groups():
+        steps = _steps(pieces, range(first, first + len(group)), angle)
+        first += len(group)
         even = _at_one_level(irfft(rfft(group, axis=1) * gain, pieces.size, axis=1), int(level_s * pieces.rate_hz))
         X = rfft(even, axis=1).astype(np.complex64)
         for total, (a, b) in zip(sums, edges, strict=True):
-            total += _squared_envelope_power(X[:, a:b], total.shape[1])
+            total += _squared_envelope_power(X[:, a:b], total.shape[1], steps)
     return [
         EnvelopeSpectrum(
             band_hz=(a / pieces.seconds, b / pieces.seconds),
@@ -101,18 +110,36 @@ def _bands(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> Iterator
             yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
 
 
-def _squared_envelope_power(X: NDArray[np.complex64], bins: int) -> Array:
+def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
+    """By piece: when the shaft is at equal steps of its angle, as shares of the piece; none against time."""
+    if angle is None:
+        return []
+    step = (angle[-1] - angle[0]) / (angle.size - 1)
+    rows = np.arange(0, pieces.size, max(1, pieces.size // ANGLE_POINTS))
+    out = []
+    for start in (pieces.starts[i] for i in numbers):
+        own = angle[start + rows]
+        out.append(np.interp(own[0] + step * rows, own, rows) / pieces.size)
+    return out
+
+
+def _squared_envelope_power(X: NDArray[np.complex64], bins: int, steps: Sequence[Array]) -> Array:
     """(2, bins) squared amplitudes of the lines of the squared envelope of a band, and their mean under random phases.
 
     Both are sums over pieces, over the squared mean of the squared envelope, under a Hann window.
 
-    X : (pieces, bins of the band). The transforms are as long as lags up to `bins` need.
+    X : (pieces, bins of the band). The transforms are as long as lags up to `bins` need. steps : by piece, as of
+    `_steps`. The envelope is interpolated and not the samples: its mean does not depend on the place between two rows.
     """
     n = next_fast_len(max(X.shape[1] + bins, 2 * bins), real=True)
     z = ifft(X, n, axis=1)
     P = X.real**2 + X.imag**2
     mean = np.maximum(P.sum(axis=1, keepdims=True) / n, 1e-30)  # n times the mean of the squared envelope
-    S = rfft((z.real**2 + z.imag**2) / (mean / n), axis=1)[:, : bins + 1]
+    envelope = (z.real**2 + z.imag**2) / (mean / n)
+    for row, at in zip(envelope, steps, strict=bool(steps)):
+        share = np.interp(np.arange(n) / n, np.arange(at.size) / at.size, at)
+        row[:] = np.interp(share * n, np.arange(n), row)
+    S = rfft(envelope, axis=1)[:, : bins + 1]
     S[:, 0] = 0.0
     windowed = 0.5 * S[:, :bins] - 0.25 * (_before(S)[:, :bins] + S[:, 1:])
     power = windowed.real.astype(np.float64) ** 2 + windowed.imag.astype(np.float64) ** 2

@@ -112,9 +112,8 @@ def find_strikes(
         speed = replace(speed, wander_rel=0.0)
     avoided, avoided_sd = _avoided(speed)
     for name, i in columns.items():
-        samples = np.asarray(y[:, i], dtype=np.float64)
-        pieces = Pieces(samples if angle is None else _at_mean_speed(samples, angle), rate_hz, MAX_PIECE_S)
-        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank):
+        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz, MAX_PIECE_S)
+        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle):
             tables += line_tables(name, spectrum, avoided, avoided_sd)
     log_tables = float(np.log(max(len(tables), 1)))
     limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))
@@ -128,13 +127,6 @@ def find_strikes(
     if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
         return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)
     return [], []
-
-
-def _at_mean_speed(samples: Array, angle: Array) -> Array:
-    """(n,) samples at equal steps of the shaft angle (n,) rad: what they would be at the mean speed throughout."""
-    row = np.arange(angle.size, dtype=np.float64)
-    at = np.interp(np.linspace(angle[0], angle[-1], angle.size), angle, row)
-    return np.asarray(np.interp(at, row, samples), dtype=np.float64)
 
 
 def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
