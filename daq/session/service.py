@@ -177,7 +177,9 @@ def failure(summary: RunSummary, link: str) -> Exception | None:
         return LogError(summary.lost_log)
     if summary.samples:
         return None
-    if summary.stats.frames:
+    if summary.kind == "capture":
+        what = "it holds no frame of a device of protocol v1; for another maker's set link.dbc and [link.signals]"
+    elif summary.stats.frames:
         what = "frames came, but none of the rig's channels; check the device, and [link] of the rig file"
     elif summary.stats.bytes:
         came = f"{summary.stats.bytes} bytes came, but no samples"

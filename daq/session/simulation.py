@@ -235,6 +235,10 @@ class OnDeviceTime:
     def feed(self, frames: CanFrames, t_host_ns: int) -> list[Reading]:
         return self._decoder.feed(frames, self._start_ns + int(frames.t_ns[-1]) if len(frames) else t_host_ns)
 
+    def nothing(self) -> str:
+        """Why no sample has come."""
+        return self._decoder.nothing()
+
     def cause(self, reason: str) -> None:
         self._decoder.cause(reason)
 

@@ -56,6 +56,16 @@ class CanDecoder:
         if reason == "reconnect":
             self._classic.reset()
 
+    def nothing(self) -> str:
+        """Why no sample has come."""
+        others = self.stats.other.get("other_frames", 0)
+        if self._device.info is not None or not others:
+            return "check the device"
+        return (
+            f"{others} frames came, none of a device of protocol v1 at 0x{self._base:X} to "
+            f"0x{self._base + protocol.ID_INFO_PART:X}: for another maker's set link.dbc and [link.signals], else ?id="
+        )
+
     def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:
         """(n,) frames of the device."""
         offset = frames.ids.astype(np.int64) - self._base

@@ -108,7 +108,7 @@ def _parse(
             damaged[frames] += end > consumed
             consumed = end + 1
             continue
-        if byte != 13 and byte != 10:  # CR; some adapters end lines with CR LF, or LF
+        if byte != 13:
             continue
         begin = consumed
         consumed = end + 1
@@ -184,8 +184,10 @@ class SlcanCodec:
         SlcanCodec().feed(b"\r", 0)
 
     def feed(self, chunk: bytes, t_host_ns: int) -> Lines:
+        if b"\n" in chunk:  # some adapters end lines with CR LF, or LF
+            chunk = chunk.replace(b"\n", b"\r")
         raw = self._tail + chunk
-        n = raw.count(b"\r") + raw.count(b"\n")
+        n = raw.count(b"\r")
         ids, lengths = np.empty(n + 1, np.uint32), np.empty(n + 1, np.uint8)
         payload, stamps = np.zeros((n + 1, 64), np.uint8), np.empty(n + 1, np.int64)
         damaged = np.empty(n + 2, np.int64)

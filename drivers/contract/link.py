@@ -64,6 +64,10 @@ class Decoder(Protocol[In]):
     def feed(self, data: In, t_host_ns: int) -> list[Reading]: ...
     def cause(self, reason: str) -> None: ...
 
+    def nothing(self) -> str:
+        """Why frames gave no sample: what was seen, and what to do."""
+        ...
+
 
 class Link:
     """A driver made of a source and a decoder (see drivers.contract.reading.Driver).
@@ -155,7 +159,7 @@ class Link:
             self._last_samples_s, self._mute = time.monotonic(), False
         elif not self._mute and time.monotonic() - self._last_samples_s > self.mute_s:
             self._mute = True
-            text = f"{self.target} sends frames, but no samples for {self.mute_s:g} s: check the device"
+            text = f"{self.target} sends frames, but no samples for {self.mute_s:g} s: {self._decoder.nothing()}"
             self._decoder.notices.add(now_ns, "warning", "no_samples", text)
             self._decoder.cause("silent")
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from drivers.can.can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from drivers.contract.errors import LinkOpenError
 
-from .capture_batches import LATEST_NS, Batch, Collector, FrameTuple
+from .capture_batches import BATCH_FRAMES, LATEST_NS, Batch, Collector, FrameTuple
 from .text_lines import bounded, open_text
 
 _LOG_LINE = re.compile(
-    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)"
-    r"(?:_[0-9A-Fa-f])?(?:\s+([RT]))?"
+    r"\s*+\((\d++)\.(\d{1,9}+)\)\s++(\S++)\s++([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##[0-9A-Fa-f]|#)"
+    r"([0-9A-Fa-f.]*+)(?:_[0-9A-Fa-f])?(?:\s+([RT]))?\s*+"
 )
 _SCREEN_LINE = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[\d+\]\s*"
@@ -43,37 +43,34 @@ def candump_batches(file: Path) -> Generator[Batch, None, None]:
 
 
 def _read(lines: Iterator[str], out: Collector, differences: bool) -> Generator[Batch, None, None]:
-    now_ns = 0
+    now_ns, left, match_of, add = 0, BATCH_FRAMES, _LOG_LINE.fullmatch, out.frame
     for number, line in enumerate(lines, 1):
-        text = line.strip()
-        match = _LOG_LINE.fullmatch(text)
-        found = _log_frame(match) if match else _screen_frame(text)
-        if found is None:
-            if text:
-                out.damage(
-                    f"line {number} has a wrong length or time" if match else f"line {number} is no candump line"
-                )
+        match, found = match_of(line), None
+        if match is not None:
+            seconds, part, bus, name, remote, digits, way = match.groups()
+            identifier = int(name, 16) if len(name) == 3 else _identifier(name)
+            digits = digits.replace(".", "") if remote is None else ""
+            identifier |= 0 if remote is None else REMOTE_FLAG
+            t_ns = int(seconds + part.ljust(9, "0"))
+            if len(digits) % 2 == 0 and len(digits) <= 128 and t_ns <= LATEST_NS:
+                found = (identifier, bytes.fromhex(digits), t_ns), bus, way == "T"
         else:
-            (identifier, data, t_ns), bus, sent = found
+            found = _screen_frame(line.strip())
+        if found is not None:
             if differences:
+                (identifier, data, t_ns), bus, sent = found
                 now_ns += t_ns
-                t_ns = now_ns
-            out.frame((identifier, data, t_ns), bus, sent)
-        if out.full:
+                found = (identifier, data, now_ns), bus, sent
+            add(*found)
+        elif match is not None or not line.isspace():
+            out.damage(f"line {number} has a wrong length or time" if match else f"line {number} is no candump line")
+        else:
+            continue
+        left -= 1
+        if not left:
+            left = BATCH_FRAMES
             yield out.take()
     yield out.take()
-
-
-def _log_frame(match: re.Match[str]) -> tuple[FrameTuple, str, bool] | None:
-    digits = match[7].replace(".", "")
-    if len(digits) % 2 or len(digits) > 128:
-        return None
-    identifier = _identifier(match[4])
-    if match[5] is not None:
-        identifier |= REMOTE_FLAG
-        digits = ""
-    t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
-    return None if t_ns > LATEST_NS else ((identifier, bytes.fromhex(digits), t_ns), match[3], match[8] == "T")
 
 
 def _screen_frame(text: str) -> tuple[FrameTuple, str, bool] | None:

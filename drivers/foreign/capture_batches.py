@@ -83,9 +83,8 @@ class Collector:
     said: list[tuple[str, str]] = field(default_factory=list)
     _number: dict[str, int] = field(default_factory=dict)
     _frames: list[FrameTuple] = field(default_factory=list)
-    _buses: list[int] = field(default_factory=list)
-    _sent: list[bool] = field(default_factory=list)
-    _holes: list[int] = field(default_factory=list)
+    _codes: list[int] = field(default_factory=list)  # twice the number of the bus, and one more if sent
+    _holes: dict[int, int] = field(default_factory=dict)  # damaged lines before a frame
     _damaged: int = 0
     _since: int = 0
 
@@ -95,10 +94,10 @@ class Collector:
             number = self._number[bus] = len(self.names)
             self.names.append(bus)
         self._frames.append(frame)
-        self._buses.append(number)
-        self._sent.append(sent)
-        self._holes.append(self._since)
-        self._since = 0
+        self._codes.append(2 * number + sent)
+        if self._since:
+            self._holes[len(self._frames) - 1] = self._since
+            self._since = 0
 
     def damage(self, why: str) -> None:
         self._since += 1
@@ -114,12 +113,15 @@ class Collector:
 
     def take(self) -> Batch:
         """What has come since the last call."""
+        codes = np.array(self._codes, np.int64)
+        holes = np.zeros(len(codes) + 1, np.int64)
+        holes[[*self._holes, -1]] = [*self._holes.values(), self._since]
         batch = Batch(
-            frames=CanFrames.build(self._frames), buses=np.array(self._buses, np.int16), names=tuple(self.names),
-            sent=np.array(self._sent, np.bool_), holes=np.array([*self._holes, self._since], np.int64), why=self.why,
+            frames=CanFrames.build(self._frames), buses=(codes // 2).astype(np.int16), names=tuple(self.names),
+            sent=codes % 2 == 1, holes=holes, why=self.why,
             said=tuple(self.said),
         )  # fmt: skip
-        self._frames, self._buses, self._sent, self._holes = [], [], [], []
+        self._frames, self._codes, self._holes = [], [], {}
         self._damaged, self._since, self.why, self.said = 0, 0, "", []
         return batch
 

@@ -121,18 +121,19 @@ class Timing:
         new = np.concatenate([[True], apart])
         cluster = np.cumsum(new) - 1
         messages = len(self.rank)
+        counts = np.bincount(cluster * messages + which, minlength=(int(cluster[-1]) + 1) * messages)
+        if counts.max() <= 1:
+            n = int(cluster[-1]) + 1
+            return Rows(cluster, n, self._began(which, t_ns, new), np.zeros(n, np.bool_))
         # the k-th frame of a message in a cluster is of its k-th row: rows that came together after a stall
         order = np.lexsort((np.arange(len(which)), which, cluster))
         key = cluster[order] * messages + which[order]
         head = np.concatenate([[True], key[1:] != key[:-1]])
         turn = np.empty(len(which), np.int64)
         turn[order] = np.arange(len(which)) - np.maximum.accumulate(np.where(head, np.arange(len(which)), 0))
-        if not turn.any():
-            n = int(cluster[-1]) + 1
-            return Rows(cluster, n, self._began(which, t_ns, new), np.zeros(n, np.bool_))
         pair = cluster * (int(turn.max()) + 1) + turn
         _, first, row = np.unique(pair, return_index=True, return_inverse=True)
-        counts = np.bincount(key, minlength=(int(cluster[-1]) + 1) * messages).reshape(-1, messages)
+        counts = counts.reshape(-1, messages)
         mixed = (counts.max(axis=1) > 1) & (counts.min(axis=1) != counts.max(axis=1))
         return Rows(row.astype(np.int64), len(first), t_ns[first] - self.lag_ns[which[first]], mixed[cluster[first]])
 

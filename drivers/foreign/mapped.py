@@ -100,6 +100,8 @@ class MappedDecoder:
 
     def nothing(self) -> str:
         """Why no sample has come."""
+        if self._open is not None and len(self._open) and not self.learned:
+            return "too few have come to know their rate"
         return nothing_matched(self.plan, dict(self._seen))
 
     def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:
@@ -215,9 +217,34 @@ class MappedDecoder:
         if n == 0:
             return
         self._fit_steps(mine)
-        counts = np.zeros((n, len(self.plan.signals)), np.int32)
-        valid = np.zeros((n, len(self.plan.signals)), np.bool_)
         told: Counter[tuple[str, str]] = Counter()
+        counts, valid = self._values(mine, row, n, told)
+        for (code, text), number in told.items():
+            self.stats.count(code, number)
+            self._tell(t_host_ns, code, text)
+        holes = (
+            np.bincount(row[row < n], mine.holes[row < n], n).astype(np.int64)
+            if mine.holes.any()
+            else np.zeros(n, np.int64)
+        )
+        self._counts = np.concatenate([self._counts, counts])
+        self._valid = np.concatenate([self._valid, valid & ~mixed])
+        self._times = np.concatenate([self._times, times])
+        self._row_holes = np.concatenate([self._row_holes, holes])
+
+    def _values(
+        self, mine: _Frames, row: I64Array, n: int, told: Counter[tuple[str, str]]
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Counts (n, channels), and (n,) whether each row has a value of every channel."""
+        counts = np.zeros((n, len(self.plan.signals)), np.int32)
+        if len(self.plan.messages) == 1 and len(self.plan.messages[0].pages) == 1:  # a row is a frame
+            whole = np.ones(n, np.bool_)
+            page = self.plan.messages[0].pages[0]
+            for each, column in zip(page.fields, page.columns, strict=True):
+                counts[:, column], good = each.read(mine.frames.payload, mine.frames.lengths, told)
+                whole &= good
+            return counts, whole
+        valid = np.zeros((n, len(self.plan.signals)), np.bool_)
         for number, message in enumerate(self.plan.messages):
             rows = np.flatnonzero((mine.which == number) & (row < n))
             payload, lengths = mine.frames.payload[rows], mine.frames.lengths[rows]
@@ -228,14 +255,7 @@ class MappedDecoder:
                     good = good if here is None else good & here
                     counts[row[rows[good]], column] = value[good]
                     valid[row[rows[good]], column] = True
-        for (code, text), number in told.items():
-            self.stats.count(code, number)
-            self._tell(t_host_ns, code, text)
-        holes = np.bincount(row[row < n], mine.holes[row < n], n).astype(np.int64)
-        self._counts = np.concatenate([self._counts, counts])
-        self._valid = np.concatenate([self._valid, valid.all(axis=1) & ~mixed])
-        self._times = np.concatenate([self._times, times])
-        self._row_holes = np.concatenate([self._row_holes, holes])
+        return counts, np.asarray(valid.all(axis=1))
 
     def _rows_of(self, mine: _Frames, final: bool) -> tuple[int, I64Array, I64Array, NDArray[np.bool_]]:
         """Number of rows that are at their end, their times, the row of each frame, and whether rows are mixed."""

@@ -53,6 +53,10 @@ class SlcanDecoder:
             self._codec.reset()
         self._inner.cause(reason)
 
+    def nothing(self) -> str:
+        """Why no sample has come."""
+        return self._inner.nothing()
+
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
         self.stats.bytes += len(chunk)
         lines = self._codec.feed(chunk, t_host_ns)

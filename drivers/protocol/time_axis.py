@@ -24,6 +24,7 @@ LEAST_SAMPLES, LEAST_S = 32, 1.0  # a rate is measured over both, or over
 ENOUGH_S = 2.0  # and a few samples
 PIECE_SAMPLES = 256  # placed by one line, at most; and no more than drift by
 PIECE_DRIFT_SAMPLES = 0.25
+FLAT_SAMPLES, FLAT_PIECE_SAMPLES = 0.4, 1024  # by which the earliest arrivals vary where nothing is missing
 MOST_UNSURE_REL = 2e-2  # of the period
 HISTORY_PIECES = 32  # over which the period is followed
 CLOSE_SAMPLES = 0.35  # short of a whole sample, lateness counts as one: it never comes early
@@ -130,6 +131,9 @@ class TimeAxis:
     def _pieces(self, lag: F64Array, known: I64Array | None, ahead: int, final: bool) -> Placed:
         n, done, base, level = len(lag), 0, 0.0, 0
         earliest = _earliest(lag, ahead)
+        low, high = float(earliest.min()), float(earliest.max())
+        if known is None and low > -0.5 and high < 1.0 - CLOSE_SAMPLES and high - low < FLAT_SAMPLES:
+            return self._flat(lag, earliest)
         missing = np.zeros(n, np.int64)
         unsure = within = 0
         size = max(1, min(PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
@@ -159,6 +163,19 @@ class TimeAxis:
             index, level = index + known[:done], level + int(known[done - 1])
         self._advance(done + level, base)
         return Placed(index, unsure, within)
+
+    def _flat(self, lag: F64Array, earliest: F64Array) -> Placed:
+        """Nothing is missing, nor does the clock drift by much: all in one."""
+        n = len(lag)
+        last = earliest[-PIECE_SAMPLES:]
+        base = _drift(_quantile(last, 0.5), self._unsure_rel * n)
+        self._late = max(_quantile(lag, 0.98) - base, 0.9 * self._late)
+        for stop in range(FLAT_PIECE_SAMPLES, n + 1, FLAT_PIECE_SAMPLES):
+            self._remember(self._next + stop, stop + float(earliest[stop - 1]))
+        index = self._next + np.arange(n)
+        self._remember(self._next + n, n + base)
+        self._advance(n, base)
+        return Placed(index)
 
     def _apart(self, found: I64Array, level: int) -> int:
         """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""

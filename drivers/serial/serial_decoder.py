@@ -59,6 +59,10 @@ class SerialDecoder:
         if reason == "reconnect":
             self._deframer.reset()
 
+    def nothing(self) -> str:
+        """Why no sample has come."""
+        return "check the device"
+
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
         """Readings of these bytes; t_host_ns is when the last was read."""
         out: list[Reading] = []
