@@ -17,7 +17,7 @@ from .period import round_rate
 from .protocol import TIME_MODULUS_US, SampleFrames
 
 STATED_REL = 0.02  # a stated rate that the frames bear out to within this is believed
-LEAST_STEPS = 3  # from frame to frame
+LEAST_STEPS = 2  # from frame to frame
 MOST_GAP = 64  # frames between two whose distance counts
 MOST_HELD, MOST_HELD_NS = 4096, 500_000_000  # frames; and so long
 POSSIBLE_HZ = (1e-2, 1e6)  # of a device that counts samples here
