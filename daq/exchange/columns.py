@@ -20,7 +20,8 @@ SECONDS_OF_UNIT = MappingProxyType(
      "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0}
 )  # fmt: skip
 TIME_NAMES = frozenset(
-    ("time", "t", "timestamp", "timestamps", "zeit", "zeitstempel", "datetime", "date/time", "x_value")
+    ("time", "t", "timestamp", "timestamps", "zeit", "zeitstempel", "uhrzeit", "datetime", "date/time", "xvalue")
+    + ("elapsed", "elapsedtime", "relativetime", "reltime")
 )
 RATE_NAMES = frozenset(
     ("rate_hz", "fs", "fs_hz", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "fsamp")
@@ -74,9 +75,9 @@ def time_unit(name: str, unit: str = "") -> float | str | None:
     """
     word = name.strip().lower().replace("µ", "u").replace("μ", "u")
     found = re.match(r"^(.*?)(?:\s*/\s*|_|\s+in\s+|\s+)([a-z]+)$", word)
-    if not unit and found and found[1] in TIME_NAMES and found[2] in SECONDS_OF_UNIT:
+    if not unit and found and plain(found[1]) in TIME_NAMES and found[2] in SECONDS_OF_UNIT:
         word, unit = found[1], found[2]
-    if word not in TIME_NAMES:
+    if plain(word) not in TIME_NAMES:
         return None
     text = unit.strip().lower().replace("µ", "u").replace("μ", "u").rstrip(".")
     return float("nan") if not text else SECONDS_OF_UNIT.get(text, unit)

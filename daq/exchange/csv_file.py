@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ SAMPLE_ROWS = 2000  # rows from which the decimal sign is told
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 _IN_THOUSANDS = re.compile(r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+$")
 _WITH_BOTH_SIGNS = re.compile(r"^[+-]?\d{1,3}(?:[.,]\d{3})*[.,]\d+$")
+_DAY = re.compile(r"^(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4})$")
 _OF_DAY = re.compile(r"^(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)$")
 _RATE_LINE = re.compile(r"sampl\w*[\s_-]*(?:rate|freq\w*)\W+([\d.]+)\s*(k?)hz", re.IGNORECASE)
 _DATE_LINE = re.compile(
@@ -45,6 +45,7 @@ class _Table:
     line: int
     wanted: list[int] = field(default_factory=list)
     time: int | None = None
+    date: int | None = None
     decimal: str = "."
     thousands: str = ""
     quoted: bool = False
@@ -54,9 +55,9 @@ class _Table:
 
 def read_csv(path: Path, names: Sequence[str]) -> Columns:
     with path.open(encoding=_encoding(path), newline="") as file:
-        table = _header(path, file, names)
         first = list(islice(file, SAMPLE_ROWS))
-        first = _unit_row(table, first)
+        table = _header(path, first[:HEAD_LINES], names)
+        first = _unit_row(table, first[table.line - 1 :])
         _columns(table, names)
         _signs(table, first)
         parts: list[NDArray[np.float64]] = []
@@ -91,38 +92,70 @@ def _encoding(path: Path) -> str:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
     return [c.strip() for c in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
 
 
-def _header(path: Path, file: TextIO, names: Sequence[str]) -> _Table:
-    """The line with the names of the rig's channels; else the first that is no remark, for messages."""
+def _header(path: Path, lines: list[str], names: Sequence[str]) -> _Table:
+    """The last line before the numbers that has names of the rig's channels; else the first one, for messages."""
+    found: _Table | None = None
     first: _Table | None = None
-    rate_hz, started_ns, forced = None, None, ""
-    for number, line in enumerate(islice(file, HEAD_LINES), 1):
+    head = _Head()
+    for number, line in enumerate(lines, 1):
+        if found is not None and _is_row(found, line, names):
+            break
         if line.lower().startswith("sep="):
-            forced = line[4:5]
+            head.delimiter = line[4:5]
             continue
         if not line.strip():
             continue
-        remark = line.lstrip("#").strip()
-        if found := _RATE_LINE.search(remark):
-            rate_hz = float(found[1]) * (1000.0 if found[2] else 1.0)
-        if found := _DATE_LINE.match(remark):
-            started_ns = date_ns(found[1].strip(' ";,\t')) or started_ns
-        if line.startswith("#"):
-            continue
-        delimiter = forced or max(",;\t|", key=line.count)
-        cells = [titled(c) for c in _split(line, delimiter)]
-        while len(cells) > 1 and not any(cells[-1]):
-            cells.pop()
-        titles, units = [c[0] for c in cells], [c[1] for c in cells]
-        table = _Table(path, titles, units, delimiter, number + 1, rate_hz=rate_hz, started_ns=started_ns)
-        if set(titles) & set(names):
-            return table
-        first = first or table
-    if first is None:
+        head.take(line.lstrip("#").strip())
+        marked = line.startswith("#")  # as numpy.savetxt writes a header
+        table = _titles(path, line.lstrip("#"), number, head)
+        if set(table.titles) & set(names):
+            found = table
+        first = first or (None if marked else table)
+    if found is None and first is None:
         raise LogError(f"{path}: is empty; a header of channel names and rows of numbers are needed")
-    return first
+    table = found or first or _titles(path, "", 0, head)
+    table.rate_hz, table.started_ns = head.rate_hz, head.started_ns
+    return table
+
+
+@dataclass(slots=True)
+class _Head:
+    """What the lines before the header say."""
+
+    delimiter: str = ""
+    rate_hz: float | None = None
+    started_ns: int | None = None
+    day: str = ""
+
+    def take(self, remark: str) -> None:
+        if found := _RATE_LINE.search(remark):
+            self.rate_hz = float(found[1]) * (1000.0 if found[2] else 1.0)
+        if found := _DATE_LINE.match(remark):
+            text = found[1].strip(' ";,\t')
+            self.day = text if _DAY.match(text) else self.day  # and in another line the time of day
+            text = f"{self.day} {text}" if self.day and _OF_DAY.match(text) else text
+            self.started_ns = date_ns(text) or self.started_ns
+
+
+def _titles(path: Path, line: str, number: int, head: _Head) -> _Table:
+    delimiter = head.delimiter or max(",;\t|", key=line.count)
+    delimiter = delimiter if delimiter in line else " "
+    cells = [titled(c) for c in _split(line, delimiter)]
+    while len(cells) > 1 and not any(cells[-1]):
+        cells.pop()
+    return _Table(path, [c[0] for c in cells], [c[1] for c in cells], delimiter, number + 1)
+
+
+def _is_row(table: _Table, line: str, names: Sequence[str]) -> bool:
+    """Whether a line below a header is a row of numbers."""
+    cells = _split(line, table.delimiter)
+    there = [cells[k] for k, title in enumerate(table.titles) if title in names and k < len(cells)]
+    return any(_number(c) for c in there)
 
 
 def _unit_row(table: _Table, lines: list[str]) -> list[str]:
@@ -180,6 +213,7 @@ def _columns(table: _Table, names: Sequence[str]) -> None:
             known = ", ".join(("s", "ms", "us", "ns", "min", "h"))
             raise LogError(f'{table.path}: the time is in "{unit}", which is no unit of time; write one of {known}')
         table.time = k
+    table.date = next((k for k, title in enumerate(titles) if title.lower() in ("date", "datum")), None)
 
 
 def _signs(table: _Table, lines: list[str]) -> None:
@@ -209,6 +243,8 @@ def _rows(table: _Table, lines: list[str]) -> list[list[str]]:
     if table.quoted:
         return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=table.delimiter)]
     strip, delimiter = str.strip, table.delimiter
+    if delimiter == " ":
+        return [line.split() for line in lines]
     return [[] if not line.strip() else list(map(strip, line.rstrip("\r\n").split(delimiter))) for line in lines]
 
 
@@ -221,7 +257,8 @@ def _plain(table: _Table, cell: str) -> str:
 def _piece(table: _Table, lines: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(rows, wanted) and (rows,) time of some lines."""
     columns = [*table.wanted, *([] if table.time is None else [table.time])]
-    if table.wanted and not table.quoted and not table.thousands and any(line.strip() for line in lines):
+    simple = not table.quoted and not table.thousands and table.delimiter != " "
+    if table.wanted and simple and any(line.strip() for line in lines):
         commas = len(table.titles) - 1
         plain = [line.replace(",", ".") for line in lines] if table.decimal == "," else lines
         with contextlib.suppress(ValueError):  # said below, or written so that the library does not read it
@@ -283,6 +320,9 @@ def _times(table: _Table, rows: list[list[str]]) -> NDArray[np.float64]:
             what = f'"{cell}" is not a number' if cell else "the cell is empty"
             text = f"{table.titles[at]}: {what}; repair or cut that line"
             raise LogError(f"{table.path}:{table.line + row}: {text}") from None
+        first = next(row for row in rows if row)
+        if table.date is not None and table.started_ns is None and _OF_DAY.match(first[at]):
+            table.started_ns = date_ns(f"{first[table.date]} {first[at]}")
         return np.fromiter(_stamps(table, [(k, row[at]) for k, row in enumerate(rows) if row]), np.float64, len(cells))
 
 

@@ -11,6 +11,7 @@ import pytest
 from daq.base.contract.dates import unix_ns
 from daq.base.contract.errors import LogError
 from daq.exchange.checks import Record, load
+from daq.exchange.columns import date_ns
 from daq.rig.rig import Rig
 
 CHANNEL = """[[channel]]
@@ -71,6 +72,11 @@ GOOD = {
     "minutes": table("%.9f", ",", "t/min,x,y", 1 / 60),
     "ends with separators": "\n".join(line + ";" for line in table("%.6f", ";").splitlines()),
     "remarks": "# by me\n" + table("%.6f") + "# started 2024-05-31T11:05:00.000000Z\n",
+    "blanks": table("%.6f", " "),
+    "columns": table("%.6f", "   "),
+    "remarks with names": "# sensors,x,y\nThe sensors x and y of bearing 1\n" + table("%.6f"),
+    "savetxt": "# " + table("%.6f"),
+    "elapsed": table("%.6f", ",", "Elapsed Time (ms),x,y", 1e3),
     "quoted": "\n".join(
         ["time,x,y", *(f'"{k / 100}","{x:,.3f}","{y}"' for k, x, y in zip(K, X, Y, strict=True))]
     ),  # "1,000.125"
@@ -105,6 +111,11 @@ def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
     assert record.rate_hz == 100.0
     assert record.started_ns == started
     assert read(tmp_path, table("%.6f")).started_ns is None
+    begun = date_ns("2024-05-31 13:05:00")  # of this computer's zone
+    days = rows(lambda k: f"31.05.2024;13:05:{k / 100:05.2f}", "Date;Time;x;y")
+    assert read(tmp_path, days).started_ns == begun
+    head = "LabVIEW Measurement\t\nDate\t2024/05/31\nTime\t13:05:00\n***End_of_Header***\t\n"
+    assert read(tmp_path, head + table("%.6f", "\t", "X_Value,x,y")).started_ns == begun
 
 
 @pytest.mark.parametrize(
