@@ -26,7 +26,7 @@ SAMPLE_ROWS = 2000  # rows from which the decimal sign is told
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 _IN_THOUSANDS = re.compile(r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+$")
 _WITH_BOTH_SIGNS = re.compile(r"^[+-]?\d{1,3}(?:[.,]\d{3})*[.,]\d+$")
-_DAY = re.compile(r"^(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4})$")
+_CALENDAR_DAY = re.compile(r"^(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4})$")
 _OF_DAY = re.compile(r"^(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)$")
 _RATE_LINE = re.compile(r"sampl\w*[\s_-]*(?:rate|freq\w*)\W+([\d.]+)\s*(k?)hz", re.IGNORECASE)
 _DATE_LINE = re.compile(
@@ -137,7 +137,7 @@ class _Head:
             self.rate_hz = float(found[1]) * (1000.0 if found[2] else 1.0)
         if found := _DATE_LINE.match(remark):
             text = found[1].strip(' ";,\t')
-            self.day = text if _DAY.match(text) else self.day  # and in another line the time of day
+            self.day = text if _CALENDAR_DAY.match(text) else self.day  # and in another line the time of day
             text = f"{self.day} {text}" if self.day and _OF_DAY.match(text) else text
             self.started_ns = date_ns(text) or self.started_ns
 

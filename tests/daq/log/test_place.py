@@ -200,22 +200,16 @@ def test_one_who_waits_for_a_lock_does_not_get_what_was_moved_aside(folder: Path
     os.close(fd)
 
 
-def test_one_who_waits_for_an_import_does_not_empty_what_it_made(folder: Path) -> None:
-    """`import`, `recover` twice at once: the second has the unfinished file open when the first gives it its name."""
+def test_two_imports_at_once_do_not_empty_what_the_other_made(folder: Path) -> None:
+    """Each writes a file of its own, and the second keeps what the first gave the name."""
     path = folder / "b.mcap"
-    first = LogFile(path, whole=True)
-    first.write(b"a whole log")
-    first.push()
-    done = threading.Thread(target=lambda: (time.sleep(0.05), first.keep(), first.close()))
-    done.start()
-    second = LogFile(path, whole=True)
-    done.join()
-    assert path.read_bytes() == b"a whole log"
-    second.write(b"another")
-    second.push()
-    second.keep()
-    second.close()
-    assert path.read_bytes() == b"another"
+    first, second = LogFile(path, whole=True), LogFile(path, whole=True)
+    for file, text in ((first, b"a whole log"), (second, b"another")):
+        file.write(text)
+        file.push()
+        file.keep()
+        file.close()
+        assert path.read_bytes() == text
     assert second.kept is not None
     assert second.kept.read_bytes() == b"a whole log"
 
@@ -356,8 +350,8 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("long")
     for name in ("tiwari_vyas_1997.toml", "canedge_imu.toml", "canmod-gps.dbc"):
         (folder / name).write_bytes((ROOT / "configs" / name).read_bytes())
-    y = np.random.default_rng(1).standard_normal(1_500_000)
-    np.savez(folder / "x.npz", rate_hz=25600.0, b1x=y, b1y=y, b2x=y, b2y=y)
+    y = np.random.default_rng(1).standard_normal((4, 1_500_000))
+    np.savez(folder / "x.npz", rate_hz=25600.0, **dict(zip(("b1x", "b1y", "b2x", "b2y"), y, strict=True)))
     words = ["import", str(folder / "x.npz"), "--rig", str(folder / "tiwari_vyas_1997.toml")]
     assert main([*words, "--out", str(folder / "l.mcap")]) == 0
     lines = [line.split(" ", 1) for line in (ROOT / "tests/data/canedge_imu/canedge_imu.log").read_text().splitlines()]
