@@ -24,12 +24,12 @@ from .excitation import CellSpectrum
 
 KNOT_OCTAVES = 1.0  # least distance of the knots of P
 KNOT_WIDTHS = 4.0  # least distance of the knots in half-power widths of the strongest mode: P may not bend within it
-BROAD_KNOT_OCTAVES = 2.4  # four half-power widths of a mode of 21 % damping
+BROAD_STARTS, BROAD_DAMPING = 5, 0.3  # of a mode that friction damps so much that P passes for it
 MAX_MODES = 8
 MODE_P_VALUE = 1e-4  # of a mode, over all frequencies and widths searched
 WIDTHS_REL = (0.006, 0.012, 0.024, 0.05, 0.1, 0.2)  # half-widths of the humps that are searched for
 MIN_PROMINENCE = 1.0  # power of a mode at its resonance over that of all else there: half of the whole, 3 dB
-DAMPING_LIMITS = (5e-4, 0.3)
+DAMPING_LIMITS = (5e-4, 0.7)  # beyond 0.707 an oscillator has no resonance
 MIN_WIDTH_BINS = 3.0  # half-power width of a mode; narrower is a line
 MAX_STEPS = 25  # of scoring
 MAX_DAMPING_SD_REL = 0.5  # of a mode, as of any parameter that is called identifiable
@@ -210,14 +210,19 @@ class _Problem:
         at = int(np.argmin(np.abs(self.x - u)))
         zeta2 = np.exp(2.0 * z)
         if theta.size == k + 1:
-            r = np.exp(2.0 * (self.x - u))
-            H2 = r * r / ((1.0 - r) ** 2 + 4.0 * zeta2 * r)
-            rest = np.log(np.maximum(self.P - np.exp(theta[k]) * self.cells.noise, 0.3 * self.P) / H2)
-            near = 1.0 / (1.0 + H2)  # the smooth force is read off the resonance
-            c = np.linalg.lstsq(self.basis * np.sqrt(near)[:, None], rest * np.sqrt(near), rcond=None)[0]
-            return np.concatenate([c, [np.log(0.5 * np.quantile(self.P / self.cells.noise, 0.01))], [u, z, 0.0]])
+            return self.first_mode(theta, u, z)
         extra = max(float(self.P[at] / parts.psd[at]) - 1.0, 0.1) * parts.psd[at] / parts.force[at]
         return np.concatenate([theta, [u, z, np.log(extra * 4.0 * zeta2)]])
+
+    def first_mode(self, theta: Array, u: float, z: float) -> Array:
+        """A start with one mode at ln f = u of ln zeta = z; the smooth force is read off the resonance."""
+        r = np.exp(2.0 * (self.x - u))
+        H2 = r * r / ((1.0 - r) ** 2 + 4.0 * np.exp(2.0 * z) * r)
+        rest = np.log(np.maximum(self.P - np.exp(theta[self.k]) * self.cells.noise, 0.3 * self.P) / H2)
+        near = np.sqrt(1.0 / (1.0 + H2))
+        c = np.linalg.lstsq(self.basis * near[:, None], rest * near, rcond=None)[0]
+        noise = np.log(0.5 * np.quantile(self.P / self.cells.noise, 0.01))
+        return np.concatenate([c, [noise], [u, z, 0.0]])
 
     def covariance(self, parts: _Parts, free: NDArray[np.intp]) -> Array:
         """Of the free parameters: the larger of that of the information, and that from the scores of the blocks."""
@@ -251,8 +256,8 @@ def fit_oscillators(cells: CellSpectrum, max_modes: int = MAX_MODES) -> list[Osc
     wider than a line, and has at least half of the power at its resonance.
     """
     fits = _with_knots(cells, KNOT_OCTAVES, max_modes)
-    if len(fits) == 1 and cells.f_hz[-1] > 2.0**BROAD_KNOT_OCTAVES * cells.f_hz[0]:
-        return _with_knots(cells, BROAD_KNOT_OCTAVES, 1)  # friction may damp a mode so much that P passes for it
+    if len(fits) == 1:
+        return _with_broad_mode(cells) or fits
     for _ in range(2):
         top = fits[-1]
         widest = 2.0 * float(top.damping[np.argmax(top.energy)]) if top.f_hz.size else 0.0
@@ -262,13 +267,31 @@ def fit_oscillators(cells: CellSpectrum, max_modes: int = MAX_MODES) -> list[Osc
     return fits
 
 
+def _with_broad_mode(cells: CellSpectrum) -> list[OscillatorFit]:
+    """Fits without and with one mode where P is one cubic over the band; empty where there is no such mode."""
+    problem = _Problem(cells, float((np.log(cells.f_hz[-1] / cells.f_hz[0])) / np.log(2.0)))
+    theta, parts, value = problem.maximise(problem.smooth_start())
+    places = np.linspace(problem.x[0], problem.x[-1], BROAD_STARTS + 2)[1:-1]
+    tried = [problem.maximise(problem.first_mode(theta, u, float(np.log(BROAD_DAMPING)))) for u in places]
+    best = max(tried, key=lambda fit: fit[2])
+    fit = _fit(problem, *best)
+    if best[2] - value < _needed_nats(problem) or not _is_sound(cells, fit):
+        return []
+    return [_fit(problem, theta, parts, value), fit]
+
+
+def _needed_nats(problem: _Problem) -> float:
+    """Gain of a significant mode, over all frequencies and widths searched."""
+    trials = (problem.x[-1] - problem.x[0]) * len(WIDTHS_REL) / min(WIDTHS_REL)
+    return 0.5 * float(chdtri(3, MODE_P_VALUE / max(trials, 1.0)))
+
+
 def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> list[OscillatorFit]:
     """Fits with 0, 1, 2 ... modes at one distance of the knots of P."""
     problem = _Problem(cells, knot_octaves)
     theta, parts, value = problem.maximise(problem.smooth_start())
     fits = [_fit(problem, theta, parts, value)]
-    trials = sum(problem.x[-1] - problem.x[0] for _ in WIDTHS_REL) / min(WIDTHS_REL)
-    needed = 0.5 * float(chdtri(3, MODE_P_VALUE / max(trials, 1.0)))
+    needed = _needed_nats(problem)
     banned: list[float] = []
     while len(fits) <= max_modes and len(banned) < MAX_REFUSED:
         start = problem.with_mode(theta, parts, banned)
@@ -285,11 +308,12 @@ def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> lis
 
 
 def _is_sound(cells: CellSpectrum, fit: OscillatorFit) -> bool:
-    """Whether every mode lies inside the band, is wider than a line, and stands out."""
+    """Whether every mode lies inside the band with its half-power points, is wider than a line, and stands out."""
     low, high = cells.f_hz[0] * (1.0 + EDGE_REL), cells.f_hz[-1] * (1.0 - EDGE_REL)
-    width = 2.0 * fit.damping * fit.f_hz
+    half = fit.damping * fit.f_hz
+    width = 2.0 * half
     return bool(
-        np.all((fit.f_hz > low) & (fit.f_hz < high))
+        np.all((fit.f_hz - half > low) & (fit.f_hz + half < high))
         and np.all(width > MIN_WIDTH_BINS * cells.bin_hz)
         and np.all(fit.damping < 0.99 * DAMPING_LIMITS[1])
         and np.all(fit.damping_sd < MAX_DAMPING_SD_REL * fit.damping)
