@@ -1,8 +1,9 @@
-"""Mistakes in the rig file as hypotheses: a mass, the shaft's spring, two channels swapped, one inverted, the speed.
+"""Mistakes in the rig file as hypotheses: a mass, the shaft's spring, two channels swapped, one inverted.
 
 A wrong number or a wrong channel changes what the shaft is thought to carry from one bearing to the other. The residual
 forces of the two bearings are then coherent. Each hypothesis changes the model, the model is fitted again, and the
-coherence that is left says how much of the mistake it explains. On one bearing alone there is no such witness.
+coherence that is left says how much of the mistake it explains. On one bearing alone there is no such witness. A wrong
+speed or rate is told by the machine layer.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
 from estimator.errors import DataError, ModelError, NotFiniteError
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.machine import ShaftSpeed
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import MOTION, EffectUse, Model, Setting
@@ -44,22 +44,6 @@ INVERTED_ERROR = -2.0  # relative error of the gain of an inverted channel
 Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigFileContext:
-    """What hypotheses on the rig file are proposed from.
-
-    Parameters
-    ----------
-    model : Model
-        As the rig file has it.
-    speed : ShaftSpeed or None
-        Speed of the shaft that the record shows; None where it shows none.
-    """
-
-    model: Model
-    speed: ShaftSpeed | None = None
-
-
 class Hypothesis(Protocol):
     """A named change of the model with a few numbers."""
 
@@ -68,7 +52,7 @@ class Hypothesis(Protocol):
         """Key of what it changes, such as "rig.mass.bearing1"."""
         ...
 
-    def propose(self, context: RigFileContext) -> Sequence[Values]:
+    def propose(self, model: Model) -> Sequence[Values]:
         """Values to try; none where the hypothesis makes no sense for this rig."""
         ...
 
@@ -95,8 +79,8 @@ class ScaledMass:
     def name(self) -> str:
         return f"rig.mass.{self.key}"
 
-    def propose(self, context: RigFileContext) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in context.model.mass else []
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in model.mass else []
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
@@ -115,7 +99,7 @@ class ScaledSpring:
 
     name: str = "rig.shaft_spring.stiffness"
 
-    def propose(self, context: RigFileContext) -> Sequence[Values]:
+    def propose(self, model: Model) -> Sequence[Values]:
         return [(factor, 1.0) for factor in TRIAL_FACTORS]
 
     def apply(self, model: Model, values: Values) -> Model:
@@ -140,7 +124,7 @@ class SwappedChannels:
     def name(self) -> str:
         return f"channel.{self.first}.{self.second}"
 
-    def propose(self, context: RigFileContext) -> Sequence[Values]:
+    def propose(self, model: Model) -> Sequence[Values]:
         return [()]
 
     def apply(self, model: Model, values: Values) -> Model:
@@ -168,7 +152,7 @@ class InvertedChannel:
     def name(self) -> str:
         return f"channel.{self.number}.sign"
 
-    def propose(self, context: RigFileContext) -> Sequence[Values]:
+    def propose(self, model: Model) -> Sequence[Values]:
         return [()]
 
     def apply(self, model: Model, values: Values) -> Model:
@@ -279,8 +263,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
     if chdtrc(paid, 2 * nats) * len(asked) > THRESHOLDS.coherence_max_p_value:
         return None
     before = nats - paid / 2
-    context = RigFileContext(model=model)
-    pairs = [(h, values) for h in asked for values in h.propose(context)]
+    pairs = [(h, values) for h in asked for values in h.propose(model)]
     left = map_processes([partial(coherence, h.apply(model, values)) for h, values in pairs])
     tried: dict[str, tuple[float, Values, Hypothesis]] = {}
     for rest, (h, values) in sorted(zip(left, pairs, strict=True), key=lambda one: one[0]):

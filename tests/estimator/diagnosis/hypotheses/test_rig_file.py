@@ -11,7 +11,6 @@ from hidden_effects import ROOT
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.rig_file import (
     InvertedChannel,
-    RigFileContext,
     ScaledMass,
     ScaledSpring,
     SwappedChannels,
@@ -41,7 +40,7 @@ def test_a_factor_changes_one_number_and_back(hypothesis: ScaledMass | ScaledSpr
     assert changed.shaft_stiffness == pytest.approx(model.shaft_stiffness)
     (parameter,) = hypothesis.parameters(model, (2.0, 0.1)).values()
     assert parameter.value in (2 * model.mass["bearing1"], 2 * model.shaft_stiffness)
-    assert (2.0, 1.0) in hypothesis.propose(RigFileContext(model=model))
+    assert (2.0, 1.0) in hypothesis.propose(model)
 
 
 def test_channels_change_places_and_signs() -> None:
