@@ -170,7 +170,9 @@ def improvement(
             refused |= {best.effect}
             continue
         diagnoses.append(found)
-        messages += [Message("taken_back", f"{name} is not needed any more: taken back") for name in ladder.prune()]
+        gone = ladder.prune()
+        refused |= set(gone)  # else it could be added and taken back without end
+        messages += [Message("taken_back", f"{name} is not needed any more: taken back") for name in gone]
     diagnoses.append(found)
     found = _last_verdict(found, ladder.survey)
     last = found.messages if found.verdict in VERDICTS_WITHOUT_EFFECT else ()
