@@ -77,20 +77,6 @@ def test_a_clipped_sensor_is_named_and_its_place_is_not_judged(rig: Model) -> No
     assert diagnose(known, y, RATE).verdict != "sensor_clipping"
 
 
-@pytest.mark.parametrize(("samples", "live", "reason"), [(4000, 2, "needed for band.low"), (60000, 0, "b1x is zero")])
-def test_a_record_that_does_not_carry_the_bearings_is_answered_with_the_reason(
-    rig: Model, samples: int, live: int, reason: str
-) -> None:
-    y = np.random.default_rng(0).standard_normal((samples, 2))
-    y[:, live:] = 0.0
-    found = diagnose(rig, y, RATE)
-    assert not found.bearing.judged
-    assert reason in found.bearing.reason
-    assert found.verdict == "unknown"
-    assert not found.ranking
-    jsonschema.validate(found.to_json(), schema("diagnose"))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("strength", [0.02, 0.06])
 @pytest.mark.parametrize("effect", [e for e in CATALOGUE if e not in ("cubic", "sensor_gain", "sensor_skew")])
