@@ -165,11 +165,12 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     from daq.exchange.measurement import measure
     from daq.report.page import write_report
     from daq.report.rerun.comparison import log_comparison
+    from daq.report.signal_spectra import signal_spectra
     from estimator.diagnosis.comparison import compare
     from estimator.diagnosis.verdict import diagnose
 
     from .analyse import comparison_text, step
-    from .diagnosis import diagnosis_text
+    from .diagnosis import diagnosis_text, layers_text, si_units
 
     data = measure(log, rig, output.note)
     output.say(Rule("3  compare"))
@@ -178,7 +179,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     output.say(Rule("4  diagnose"))
     with output.progress("diagnosing") as progress:
         diagnosis = diagnose(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-    output.say(*diagnosis_text(diagnosis, most=3))
+    output.say(*layers_text(diagnosis, si_units(rig)), *diagnosis_text(diagnosis, most=3))
     steps = [step(rig, before)]
     verdict = diagnosis["verdict"]
     if verdict in ("complete", "unknown"):
@@ -198,7 +199,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     facts = {"rig": rig.model.name} | data.facts
     write_report(
         report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnoses=[diagnosis], ladder=steps,
-        rig_text=better.text,
+        rig_text=better.text, signal=signal_spectra(rig.model, data.y, data.rate_hz, diagnosis),
     )  # fmt: skip
     view = out / "comparison.rrd"
     log_comparison(str(view), after, before, [diagnosis], steps, "Rotorscope demo")

@@ -47,8 +47,7 @@ def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     if pages:
         _write_pages(output, pages, rig, data, value)
-    units = dict(zip((c.name for c in rig.model.channels), rig.si_units, strict=True))
-    people = [*layers_text(value, units), *diagnosis_text(value), *pages.said()]
+    people = [*layers_text(value, si_units(rig)), *diagnosis_text(value), *pages.said()]
     for row in value["ranking"]:
         for said in row.get("gates", ()):
             output.detail(f"{row['effect']}: {said}")
@@ -72,6 +71,11 @@ def _write_pages(output: Output, pages: Pages, rig: Rig, data: Measurement, valu
     else:
         ladder = [step(rig, now), step(better, after)]
         pages.write(better, data, comparison=after, before=now, ladder=ladder, **parts)
+
+
+def si_units(rig: Rig) -> dict[str, str]:
+    """Channel -> SI unit."""
+    return dict(zip((c.name for c in rig.model.channels), rig.si_units, strict=True))
 
 
 def layers_text(value: Mapping[str, Any], units: Mapping[str, str]) -> list[Any]:

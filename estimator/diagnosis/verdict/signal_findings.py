@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.effects.excitation.line import LINE
+from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
@@ -17,6 +18,7 @@ from estimator.identification.record import RecordSurvey
 from estimator.model.rig import MOTION, Model
 from estimator.results import Message, Parameter
 
+BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
 INTEGRATIONS_TO_VELOCITY = {MOTION["acceleration"]: 1, MOTION["velocity"]: 0, MOTION["displacement"]: -1}  # by unit
@@ -58,11 +60,13 @@ MACHINE_THRESHOLDS = Thresholds()
 def strike_entries(model: Model, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS) -> list[Entry]:
     """Candidates for a defect of the bearing, clearest first: significant strike trains at a kinematic order.
 
-    Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft.
+    Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft. A model
+    with the varying compliance of the ball passes modulates the vibration at BPFO itself.
     """
+    known = {BALL_PASS_NAME} if any(use.name == BALL_PASS.name for use in model.effects) else set()
     out = []
     for train in machine.strikes:
-        named = train.name != NO_KINEMATIC_NAME or model.bearing is None
+        named = (train.name != NO_KINEMATIC_NAME or model.bearing is None) and train.name not in known
         if train.p_value <= limits.max_p_value and named and not is_whole_order(train, limits):
             out.append(_strike_entry(model, machine, train))
     return out

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hidden_effects import schema
 
-from estimator import Channel, DataError, EffectUse, Model, compare, diagnose, fit
+from estimator import Channel, DataError, EffectUse, Model, compare, diagnose, fit, improve
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
@@ -55,10 +55,10 @@ def test_a_bad_record_gets_the_true_reason_in_one_line_and_what_can_be_answered(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = diagnose(RIG, y, RATE)
-        for command in (fit, compare):
+        for command in (fit, compare, improve):
             with pytest.raises(DataError) as caught:
                 command(RIG, y, RATE)
-            assert "\n" not in str(caught.value)
+            assert str(caught.value) == found.bearing.reason
     assert not found.bearing.judged
     assert reason in found.bearing.reason
     assert "\n" not in found.bearing.reason
@@ -132,6 +132,8 @@ def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
     assert verdict(NOT, strikes("other", 2.7), model=replace(RIG, bearing=None)).verdict == "local_defect"
     there = replace(RIG, effects=(EffectUse("local_defect", {"bearing1": {}}),))
     assert verdict(judged("complete"), strikes(), model=there).verdict == "complete"
+    passes = replace(RIG, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),))
+    assert verdict(judged("complete"), strikes(), model=passes).verdict == "complete", "it modulates at BPFO itself"
 
 
 def test_impacts_at_a_whole_multiple_of_the_shaft_are_no_defect_and_say_so() -> None:
