@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
+from estimator.effects import CATALOGUE, LINE_NAMES, NAMED, found_by
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
@@ -252,6 +252,11 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
     was = before.interval(places)[0]
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     part = sum(p for s in own for p in s.power_N2.values())
+    apart = found_by(own[0].effect) == "harmonics"  # its lines are left out of the missing force
+    before_percent, after_percent = (
+        (was**2 + 1e4 * part / scale) ** 0.5 if apart else was,
+        was if apart else max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
+    )
     settings = _layers(model, own)
     return Entry(
         effect=own[0].effect,
@@ -259,8 +264,8 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
         gain=gain,
         heldout_gain=gain - df,
         p_value=min(s.p_value for s in own),
-        before_percent=was,
-        after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
+        before_percent=min(before_percent, 100.0),
+        after_percent=after_percent,
         parameters=_named_parameters(settings),
         score=gain - THRESHOLDS.parameter_cost_nats * df,
         detectable=own[0].detectable,

@@ -13,6 +13,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.effects import found_by
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit, is_disturbance
 from estimator.identification.residual import missing_force
@@ -124,8 +125,7 @@ def judge_bearing(
     survey = survey or survey_bearing(model, point, y)[0]
     found = rank_on_part(model, survey, say)
     if survey.adequate:
-        forces = [_measured_force_message(point)] if point.data.measured_force else []
-        return BearingJudgement("complete", tuple(found.entries), messages=tuple(forces))
+        return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
     likeliest = max((entry.gain for entry in found.entries), default=0.0)
     if (
         survey.missing.disturbances
@@ -137,12 +137,14 @@ def judge_bearing(
         found = rank_on_part(model, survey, say)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
-    entries = _judged_entries([e for e in entries if e.effect not in refused], context)
+    tones = [e for e in entries if is_tone(e)]
+    entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
     named = [e for e in entries if e.passed]
     if not (named and named[0].placed) and RIG_FILE not in refused:
         say(0.92, "a mistake in the rig file?")
         if (mistake := likeliest_mistake(_without_disturbances(model), y, point.data.rate_hz)) is not None:
             return _of_mistake(mistake, model, survey, entries)
+    entries += tones
     if not named:
         return _unknown(context, entries)
     shaped = context.fitted(named[0]).whole
@@ -154,6 +156,25 @@ def judge_bearing(
     return BearingJudgement(
         named[0].effect, ranking, separates=separation_text(ranking), messages=(*ahead, *notes)
     )  # fmt: skip
+
+
+def is_tone(entry: Entry) -> bool:
+    """Whether a candidate is a periodic force, whose lines are left out of the force balance."""
+    return found_by(entry.effect) == "harmonics"
+
+
+def _adequate(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
+    """The judgement of an adequate model: complete, but for a periodic force that passes the gates."""
+    tones = _judged_entries([e for e in entries if is_tone(e) and e.effect not in refused], context)
+    named = [e for e in tones if e.passed]
+    rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]
+    if named:
+        ranking = (*named, *rest)
+        return BearingJudgement(
+            named[0].effect, ranking, separates=separation_text(ranking), messages=named[0].notes
+        )  # fmt: skip
+    forces = [_measured_force_message(context.point)] if context.point.data.measured_force else []
+    return BearingJudgement("complete", tuple(rest), messages=tuple(forces))
 
 
 def _judged_entries(entries: list[Entry], context: Context) -> list[Entry]:
