@@ -36,9 +36,9 @@ ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identificat
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
 EFFECT_NAMING_FILES = 0  # files of estimator/ outside effects/ with an effect's name in a string: none is the aim
-ONE_WORD_CONSTANTS = {"estimator": 15, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 4  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 52  # constructions of classes in estimator/ with more than four positional arguments: none
+ONE_WORD_CONSTANTS = {"estimator": 0, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
+SAME_OPENINGS = 1  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 47  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",
@@ -71,7 +71,7 @@ def constants(tree: ast.Module) -> Iterator[str]:
 
 def one_word(package: str) -> list[str]:
     """Constants of one word: a name has to say quantity and unit. Names of effects' objects are no constants."""
-    objects = {name.upper() for name in CATALOGUE} | {"CATALOGUE", "NAMED"}
+    objects = {name.upper() for name in CATALOGUE} | {"CATALOGUE", "NAMED", "THRESHOLDS"}  # a room's table of limits
     return [
         f"{path.relative_to(ROOT)}: {name}"
         for path, tree in sources(package).items()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model import MOTION, Model, kinematics
+from estimator.model import MOTION_UNITS, Model, kinematics
 
 from .layers import tone_name
 
@@ -52,14 +52,14 @@ def signal_spectra(model: Model, y: Array, rate_hz: float, diagnosis: Json) -> d
     structure = diagnosis.get("structure") or {}
     out |= {"modes": structure.get("modes", ()), "poles": structure.get("poles", ()), "band": list(model.band)}
     for k, channel in enumerate(model.channels):
-        pieces = finite_pieces(y[:, k]) if channel.kind in MOTION else []
+        pieces = finite_pieces(y[:, k]) if channel.kind in MOTION_UNITS else []
         if not pieces:
             continue
         f, psd = averaged_spectrum(halved(pieces), rate_hz)
         marks = [(t["frequency_hz"], tone_name(t)) for t in machine.get("tones", ()) if channel.name in t["amplitude"]]
         seen = (f > 0) & (f >= min(MIN_AXIS_HZ, 0.1 * model.band[0]))
         f, psd = thinned(f[seen], psd[seen], [hz for hz, _ in marks])
-        own = {"frequency_hz": f.tolist(), "psd": psd.tolist(), "unit": MOTION[channel.kind]}
+        own = {"frequency_hz": f.tolist(), "psd": psd.tolist(), "unit": MOTION_UNITS[channel.kind]}
         out["spectra"][channel.name] = own | {"marks": readable(marks), "place": channel.place}
         band = next((t["band_hz"] for t in strikes if t["channel"] == channel.name and "band_hz" in t), model.band)
         reach = max([ENVELOPE_HARMONICS * hz for hz, _ in orders], default=DEFAULT_REACH_HZ)

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from estimator.effects import CATALOGUE, places
-from estimator.model import DIRECTIONS, NODES, CustomLaw, Effect, EffectUse, Model, Setting
+from estimator.model import BEARING_NODES, CAP_DIRECTIONS, CustomLaw, Effect, EffectUse, Model, Setting
 
 from .problems import Path, Problem, did_you_mean, of_validation
 from .rig_file import CustomTable, ModelTable, SettingTable
@@ -201,7 +201,7 @@ class _Reader:
         for key, value in table.items():
             if key in self.parameters:
                 self._setting((*self.path, key), value, whole if "fixed" in whole else {}, shared)
-            elif key in (*NODES, "disc", "shaft") and isinstance(value, dict):
+            elif key in (*BEARING_NODES, "disc", "shaft") and isinstance(value, dict):
                 own += self._node(key, value)
             elif key not in OF_ALL:
                 keys = [*self.parameters, "at"]
@@ -221,7 +221,7 @@ class _Reader:
             if key in self.parameters:
                 self._setting((*self.path, node, key), value, {}, read)
                 out += [(p, key, s) for p in self.places if p.split(".")[0] == node for s in read.values()]
-            elif key in DIRECTIONS and isinstance(value, dict):
+            elif key in CAP_DIRECTIONS and isinstance(value, dict):
                 for name, inner in value.items():
                     if name in self.parameters:
                         self._setting((*self.path, node, key, name), inner, {}, read)
@@ -230,7 +230,7 @@ class _Reader:
                         self.problems.append(Problem((*self.path, node, key, name), text))
                 out += [(f"{node}.{key}", name, s) for name, s in read.items()]
             else:
-                keys = [*self.parameters, *DIRECTIONS]
+                keys = [*self.parameters, *CAP_DIRECTIONS]
                 text = f"unknown key; {did_you_mean(key, keys, 'the keys here are')}"
                 self.problems.append(Problem((*self.path, node, key), text))
         return out

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.base.contract.errors import ConfigError
 from estimator.effects import NAMED
-from estimator.model import MOTION, NODES, AntiAlias, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model import BEARING_NODES, MOTION_UNITS, AntiAlias, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
@@ -228,7 +228,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
                 text = f"channel[{seen[other]}] measures the motion of {c.node}.{c.direction} already; keep one of them"
                 problems.append(Problem(("channel", i, "kind"), text))
         seen.setdefault(key, i)
-    motions = [c for c in channels if c.kind in MOTION and c.direction != "z"]
+    motions = [c for c in channels if c.kind in MOTION_UNITS and c.direction != "z"]
     if channels and not motions:
         text = "no channel measures the motion of a bearing in x or y; nothing can be estimated without one"
         problems.append(Problem(("channel",), text))
@@ -273,7 +273,7 @@ def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, 
     )
     effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
-    for node in NODES:
+    for node in BEARING_NODES:
         for direction in ("x", "y"):
             table = getattr(getattr(file.model.linear, node), direction, None)
             if table is not None:
@@ -293,7 +293,7 @@ def _channels(tables: list[ChannelTable]) -> tuple[Channel, ...]:
 def _masses(file: RigFile) -> dict[str, float]:
     mass = file.rig.mass
     out = {} if mass.disc is None else {"disc": mass.disc}
-    for node in NODES:
+    for node in BEARING_NODES:
         cap = getattr(mass, node)
         if cap is None:
             continue

@@ -17,7 +17,7 @@ from drivers.contract import Event, Link, LinkStats, Reading
 from drivers.protocol import FAULT_KINDS
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effects import NAMED
-from estimator.model import UNITS, Effect, EffectUse, Model, Setting
+from estimator.model import LINEAR_UNITS, Effect, EffectUse, Model, Setting
 from estimator.results import Parameter
 
 CAP_KG, DISC_KG = 0.2, 0.5
@@ -59,7 +59,7 @@ def complete(model: Model, rate_hz: float) -> tuple[Model, dict[str, Parameter]]
                          "S": replace(settings["S"], value=S)}  # fmt: skip
         for key in ("kL", "c", "S"):
             if settings[key].value is None:
-                assumed[f"{place}.{key}"] = Parameter(linear[place][key].value, 0.0, UNITS[key])
+                assumed[f"{place}.{key}"] = Parameter(linear[place][key].value, 0.0, LINEAR_UNITS[key])
     model = replace(model, linear=linear)
     uses = tuple(_complete_use(model, use, rate_hz, assumed) for use in model.effects)
     return replace(model, effects=uses), assumed

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
-from estimator.model.rig import DIRECTIONS, NODES, EffectUse, Model, Setting
+from estimator.model.rig import BEARING_NODES, CAP_DIRECTIONS, EffectUse, Model, Setting
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:
@@ -34,11 +34,12 @@ def places(effect: Effect, model: Model) -> tuple[str, ...]:
     if effect.kind in ("disc", "shaft"):
         return ("disc",) if model.shaft != "none" else ()
     if effect.scope == "bearings":
-        both = (d for d in DIRECTIONS if all(f"{n}.{d}" in caps for n in NODES))
-        return tuple(f"{NODES[0]}.{d}" for d in both)
+        both = (d for d in CAP_DIRECTIONS if all(f"{n}.{d}" in caps for n in BEARING_NODES))
+        return tuple(f"{BEARING_NODES[0]}.{d}" for d in both)
     if effect.scope == "node":
-        measured = ([f"{n}.{d}" in caps for d in DIRECTIONS] for n in NODES)
-        return tuple(n for n, own in zip(NODES, measured, strict=True) if all(own) or effect.one_direction and any(own))
+        measured = ([f"{n}.{d}" in caps for d in CAP_DIRECTIONS] for n in BEARING_NODES)
+        enough = any if effect.one_direction else all
+        return tuple(n for n, own in zip(BEARING_NODES, measured, strict=True) if enough(own))
     return tuple(caps)
 
 
@@ -52,7 +53,7 @@ def at(effect: Effect, use: EffectUse, model: Model) -> tuple[str, ...]:
         if effect.kind in ("disc", "shaft"):
             matches = list(can)
         if effect.scope == "bearings":
-            matches = [p for p in can if written in NODES or written.split(".")[-1] == p.split(".")[1]]
+            matches = [p for p in can if written in BEARING_NODES or written.split(".")[-1] == p.split(".")[1]]
         if effect.kind == "sensor" and not matches:
             matches = [c.place for c in model.channels if c.name == written]
         if not matches:
@@ -93,7 +94,7 @@ def written(effect: Effect, use: EffectUse, model: Model, place: str) -> dict[st
 
     def holds(key: str) -> bool:
         if effect.scope == "bearings":
-            return key in NODES or key.endswith(place[-2:])
+            return key in BEARING_NODES or key.endswith(place[-2:])
         same = effect.scope == "node" and key.split(".")[0] == node
         return same or key in (place, node, *names) or effect.kind in ("disc", "shaft")
 

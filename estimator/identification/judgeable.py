@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 
 from .machine import MachineSurvey, survey_machine
 from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
@@ -46,9 +46,11 @@ def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
 def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
     """The record without condemned channels, and without places where no mode can be the bearing's.
 
-    y : (n, channels), SI. Raises DataError, one line, where no place is left: the first reason.
+    y : (n, channels), SI. Raises DataError, one line, where no place is left: a faulty channel first, and why the
+    first sound place is not judged.
     """
-    channels_of = {p: tuple(c.name for c in model.channels if c.place == p and c.kind in MOTION) for p in model.places}
+    moving = [c for c in model.channels if c.kind in MOTION_UNITS]
+    channels_of = {p: tuple(c.name for c in moving if c.place == p) for p in model.places}
     sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
     found = []
     for place, channels in sound.items():
@@ -59,5 +61,6 @@ def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
             )
             found.append(own)
     if found and len(found) == len(sound):
-        raise DataError(found[0].text)
+        faults = [f.text for f in sorted(layers.record.findings, key=lambda finding: not finding.condemned)]
+        raise DataError("; ".join([*faults[:1], found[0].text]))
     return usable_record(model, y, replace(layers.record, findings=(*layers.record.findings, *found)))

@@ -43,7 +43,7 @@ def _transfer_faults(model: Model, point: WorkingPoint, y: Array, found: Sequenc
 
 
 MAX_SAMPLES = 1.2e7  # of all places, from the first row: a line spectrum takes about 50 bytes a sample
-DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults)
+RECORD_DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults)
 
 
 def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
@@ -65,7 +65,7 @@ def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     """
     y = y[: int(MAX_SAMPLES / max(len(model.places), 1))]
     found: list[Finding] = []
-    for detector in DETECTORS:
+    for detector in RECORD_DETECTORS:
         found += detector(model, point, y, found)
     return sorted(found, key=lambda f: -f.gain_nats)
 

@@ -16,10 +16,10 @@ from .effect import Effect
 from .recorder import AntiAlias
 
 Shaft = Literal["chain", "beam", "none"]
-NODES = ("bearing1", "bearing2")
-DIRECTIONS = ("x", "y")
-UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
-MOTION = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # kind of a sensor -> unit
+BEARING_NODES = ("bearing1", "bearing2")
+CAP_DIRECTIONS = ("x", "y")
+LINEAR_UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
+MOTION_UNITS = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # by kind
 NO_SETTINGS: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
 
 
@@ -224,8 +224,8 @@ class Model:
     @property
     def places(self) -> tuple[str, ...]:
         """Measured cap places in the order of the channels, each once: the degrees of freedom of a fit."""
-        seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION)
-        return tuple(p for p in seen if p.split(".")[0] in NODES and p.split(".")[1] in DIRECTIONS)
+        seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION_UNITS)
+        return tuple(p for p in seen if p.split(".")[0] in BEARING_NODES and p.split(".")[1] in CAP_DIRECTIONS)
 
     @property
     def tacho(self) -> int | None:

@@ -1,7 +1,8 @@
 """Linear rotor: shaft, disc and bearing matrices, disc elimination, modes, stationary response.
 
-One transverse direction at a time; the other is identical. Nodes in the order of `NODES` and then "disc". Restoring
-convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408 (equation numbers below).
+One transverse direction at a time; the other is identical. Nodes in the order of `BEARING_NODES` and then "disc".
+Restoring convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408 (equation numbers
+below).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scipy.linalg import eigh, expm, solve_continuous_lyapunov
 from estimator.arrays import Array
 from estimator.errors import ModelError
 
-from .rig import DIRECTIONS, NODES, Model, Shaft
+from .rig import BEARING_NODES, CAP_DIRECTIONS, Model, Shaft
 
 Complex = NDArray[np.complex128]
 
@@ -161,8 +162,8 @@ def assemble(model: Model) -> Assembly:
     wanted = set(model.places) | set(model.linear)
     dofs: list[str] = []
     missing: list[str] = []
-    for d in DIRECTIONS:
-        caps = [f"{n}.{d}" for n in NODES if f"{n}.{d}" in wanted]
+    for d in CAP_DIRECTIONS:
+        caps = [f"{n}.{d}" for n in BEARING_NODES if f"{n}.{d}" in wanted]
         if caps and model.shaft != "none":
             if len(caps) == 1:
                 raise ModelError(f'shaft "{model.shaft}" joins two bearings, direction {d} has one; use shaft = "none"')
@@ -189,7 +190,7 @@ def assemble(model: Model) -> Assembly:
     if missing:
         raise ModelError(f"the model has no value for {', '.join(missing)}: give them in the rig file, or fit first")
     if model.shaft != "none":
-        for d in DIRECTIONS:
+        for d in CAP_DIRECTIONS:
             at = [i for i, dof in enumerate(dofs) if dof.endswith("." + d)]
             if at:
                 K[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_stiffness)

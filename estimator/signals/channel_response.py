@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
-from estimator.model.rig import MOTION, EffectUse, Model
+from estimator.model.rig import MOTION_UNITS, EffectUse, Model
 from estimator.parallel import map_threads
 
 # sensor faults that are a linear response
@@ -68,14 +68,14 @@ def channel_response(model: Model, place: str, w: Array) -> Complexes:
 
 def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None]:
     """Values of an effect's use for the motion channel at a place; empty if it is for another place."""
-    channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION}
+    channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION_UNITS}
     own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
     return {name: setting.value for name, setting in own[0].items()} if own else {}
 
 
 def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:
     """The record (n, channels), SI, with the sensor faults that the model knows undone."""
-    faulty = [k for k, c in enumerate(model.channels) if c.kind in MOTION and _has_fault(model, c.place)]
+    faulty = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS and _has_fault(model, c.place)]
     if not faulty:
         return y
     w: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
@@ -130,7 +130,8 @@ def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
     """Spectrum of the motion channels, one per place; missing samples count as zero."""
     from scipy.fft import next_fast_len
 
-    columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
+    moving = [(k, c.place) for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
+    columns = [next(k for k, place in moving if place == p) for p in model.places]
     keep = len(y)
     while next_fast_len(keep, real=True) != keep:
         keep -= 1

@@ -13,7 +13,7 @@ from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, values
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
-from estimator.model.rig import DIRECTIONS, NODES, Model
+from estimator.model.rig import BEARING_NODES, CAP_DIRECTIONS, Model
 from estimator.model.rotor import Assembly, assemble
 
 from . import kernel as kernel
@@ -77,7 +77,7 @@ def simulation_plan(model: Model) -> Plan:
                 hit = [i for i, c in enumerate(model.channels) if c.place == place and c.kind not in ("force", "tacho")]
                 sensors += [(i, effect, p) for i in hit]
             elif effect.scope == "bearings":
-                i, j = (rig.index(f"{n}.{place.split('.')[1]}") for n in NODES)
+                i, j = (rig.index(f"{n}.{place.split('.')[1]}") for n in BEARING_NODES)
                 correlation.append((i, j, float(p[0])))
             elif effect.kind == "excitation" and effect.shape is not None:
                 shapes.append((rig.index(place), effect.shape, p))
@@ -97,7 +97,7 @@ def simulation_plan(model: Model) -> Plan:
 def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -> list[ActingLaw]:
     """The rows of the effect table of one effect at one location: one per direction of its force. p : its values."""
     node = place.split(".")[0]
-    one = place.split(".")[1:] or [d for d in DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs)]
+    one = place.split(".")[1:] or [d for d in CAP_DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs)]
     rows: list[ActingLaw] = []
     for d in one:
         other = "y" if d == "x" else "x"
@@ -107,7 +107,8 @@ def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -
 
         s = 1.0 if d == "x" else -1.0
         if effect.kind in ("disc", "shaft"):
-            caps = [dof(f"{n}.{d}") for n in NODES] + [dof(f"disc.{other}")] + [dof(f"{n}.{other}") for n in NODES]
+            here, across = ([dof(f"{n}.{along}") for n in BEARING_NODES] for along in (d, other))
+            caps = [*here, dof(f"disc.{other}"), *across]
             code = kernel.LAW_SHAFT if effect.kind == "shaft" else kernel.LAW_FORCE
             where = (code, rig.index(f"disc.{d}"), *caps)
             lin = (0.0, 0.0, 0.0)
@@ -133,8 +134,8 @@ class Slots:
 
     @classmethod
     def of(cls, rig: Assembly) -> Slots:
-        directions = tuple(d for d in DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs))
-        order = [f"{node}.{d}" for d in directions for node in (*NODES, "disc")]
+        directions = tuple(d for d in CAP_DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs))
+        order = [f"{node}.{d}" for d in directions for node in (*BEARING_NODES, "disc")]
         return cls(directions, np.array([order.index(dof) for dof in rig.dofs], dtype=np.int64))
 
     @property

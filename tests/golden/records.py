@@ -104,7 +104,6 @@ RECORDS = (
         "complete_disc_in_band",
         disc_in_band,
         seed=103,
-        known_wrong="A complete rig is given the law bouc_wen although no force is missing (0.00 %).",
     ),
     GoldenRecord("complete_stiff_shaft", stiff_shaft, seed=104),
     GoldenRecord("clearance", four_caps, seed=105, hidden="clearance"),

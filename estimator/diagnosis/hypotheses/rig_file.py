@@ -25,7 +25,7 @@ from estimator.errors import DataError, ModelError, NotFiniteError
 from estimator.identification.batch.grid_start import fit_record
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.rig import MOTION, EffectUse, Model, Setting
+from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.parallel import map_processes
 from estimator.results import Parameter
 
@@ -180,7 +180,7 @@ def coupling_hypotheses(model: Model) -> list[Hypothesis]:
     nodes = {place.split(".")[0] for place in model.places}
     if model.shaft == "none" or model.shaft_stiffness <= 0.0 or "disc" not in model.mass or len(nodes) < 2:
         return []
-    moving = [k for k, c in enumerate(model.channels) if c.kind in MOTION]
+    moving = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
     alike = [
         (i, j) for i, j in combinations(moving, 2)
         if model.channels[i].kind == model.channels[j].kind and model.channels[i].place != model.channels[j].place

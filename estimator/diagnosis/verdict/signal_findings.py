@@ -15,13 +15,15 @@ from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.machine import MachineSurvey, StrikeTrain, Tone
 from estimator.identification.record import RecordSurvey
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message, Parameter
 
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
-INTEGRATIONS_TO_VELOCITY = {MOTION["acceleration"]: 1, MOTION["velocity"]: 0, MOTION["displacement"]: -1}  # by unit
+INTEGRATIONS_TO_VELOCITY = {  # by unit
+    MOTION_UNITS[kind]: count for kind, count in (("acceleration", 1), ("velocity", 0), ("displacement", -1))
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

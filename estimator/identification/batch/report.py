@@ -12,7 +12,7 @@ from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.motion.stream_record import Bank, Record
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
 from estimator.likelihood.path.sandwich import fold_tangent_scores
-from estimator.model.rig import UNITS, Model
+from estimator.model.rig import LINEAR_UNITS, Model
 from estimator.results import Message, Parameter, with_unidentifiable_at
 
 from .linear_start import LinearStart
@@ -119,10 +119,10 @@ def judged_parameters(balance: Balance, point: Point, covariance: Array, model: 
             setting = model.linear.get(place, {}).get(key)
             given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
             if name in free:
-                out[name] = _judged_parameter(free[name][1], free[name][2], UNITS[key])
+                out[name] = _judged_parameter(free[name][1], free[name][2], LINEAR_UNITS[key])
             elif given is not None:
-                out[name] = Parameter(given, 0.0, UNITS[key], reason="given")
-        out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
+                out[name] = Parameter(given, 0.0, LINEAR_UNITS[key], reason="given")
+        out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], LINEAR_UNITS["S"])
     out |= {name: _judged_parameter(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
     adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
     return with_unidentifiable_at(adrift, NO_SCALE_REASON, out, "N")

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import shaft_reaction
-from estimator.model.rig import NODES, Model
+from estimator.model.rig import BEARING_NODES, Model
 from estimator.results import Message
 
 MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: a weaker coupling through the shaft does not matter
@@ -23,7 +23,7 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Mess
     most, lacking = 0.0, ""
     for place, stiffness in kL.items():
         node, direction = place.split(".")
-        other = NODES[node == NODES[0]]
+        other = BEARING_NODES[node == BEARING_NODES[0]]
         mass = model.cap_mass(place)
         if reaction is None or mass is None or stiffness <= 0.0 or f"{other}.{direction}" in model.places:
             continue

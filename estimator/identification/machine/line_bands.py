@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.harmonics import has_unknown_line, known_lines
-from estimator.model.rig import MOTION, LineBand, Model
+from estimator.model.rig import MOTION_UNITS, LineBand, Model
 
 from .pieces import Pieces
 from .spectra import HANN_BIN_CORRELATION, level_spectra
@@ -29,7 +29,7 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     """
     if any(c.kind == "force" for c in model.channels) or has_unknown_line(model):
         return model
-    columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION}
+    columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
     pieces = {name: Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz) for name, i in columns.items()}
     spectra = {name: level_spectra(own) for name, own in pieces.items() if len(own)}
     own = known_lines(model)

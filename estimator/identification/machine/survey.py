@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.record import RecordSurvey
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message
 
 from .machine_survey import MachineSurvey, StrikeTrain, Tone
@@ -48,7 +48,7 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
     columns = _columns(model, record.unusable if record is not None else frozenset())
     spectra, missing = _spectra(y, rate_hz, columns)
     rms = {name: float(np.nanstd(y[:, columns[name]])) for name in spectra}
-    units = {c.name: MOTION.get(c.kind, FORCE_UNIT) for c in model.channels}
+    units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
     lines = significant_lines(spectra)

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from estimator.effects import CATALOGUE
-from estimator.model.rig import DIRECTIONS, Model
+from estimator.model.rig import CAP_DIRECTIONS, Model
 from estimator.results import Parameter
 
 MAX_SHAFT_MASS_SD_REL = 0.25  # of a mass that the shaft gives: four standard deviations
@@ -172,7 +172,7 @@ def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
 def planes_of(model: Model) -> tuple[Plane, ...]:
     """One `Plane` per measured direction, caps in the order of `model.places`."""
     out = []
-    for direction in DIRECTIONS:
+    for direction in CAP_DIRECTIONS:
         places = [p for p in model.places if p.endswith("." + direction)]
         if not places:
             continue

@@ -16,7 +16,7 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Estimate, Fit, Message, Parameter
 from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
@@ -37,7 +37,7 @@ def motion_columns(model: Model) -> tuple[int, ...]:
     """Column in the data of the motion channel of each of `model.places` (the first, if there are several)."""
     columns = []
     for place in model.places:
-        found = [i for i, c in enumerate(model.channels) if c.place == place and c.kind in MOTION]
+        found = [i for i, c in enumerate(model.channels) if c.place == place and c.kind in MOTION_UNITS]
         columns.append(found[0])
     return tuple(columns)
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Fit, Message, Parameter
 from estimator.signals.band_limit import band_limit
 
@@ -165,7 +165,7 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
     for plane in planes_of(model):
         for cap in plane.caps:
             at = {c.kind: i for i, c in reversed(list(enumerate(model.channels))) if c.place == cap.place}
-            motion = next((k for k in MOTION if k in at), None)
+            motion = next((k for k in MOTION_UNITS if k in at), None)
             if "force" not in at or motion is None:
                 continue
             pair = y[:, [at[motion], at["force"]]]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from estimator.arrays import Array
-from estimator.model.rig import MOTION, Channel
+from estimator.model.rig import MOTION_UNITS, Channel
 
 from .channel_summary import power_spectrum, stretches, velocity_rms
 from .clipping import clipping_level
@@ -61,7 +61,7 @@ class ChannelRecord:
     @property
     def unit(self) -> str:
         """SI unit of the channel."""
-        return MOTION.get(self.channel.kind) or {"force": "N"}.get(self.channel.kind, "")
+        return MOTION_UNITS.get(self.channel.kind) or {"force": "N"}.get(self.channel.kind, "")
 
     def finding(
         self, code: str, text: str, rows: tuple[tuple[int, int], ...] = (), usable: bool = True, judged: bool = True
@@ -108,7 +108,7 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
     if record.channel.kind == "tacho":
         return []
     found += _spikes(record)
-    if record.channel.kind in MOTION:  # a force may rest, and may have two levels
+    if record.channel.kind in MOTION_UNITS:  # a force may rest, and may have two levels
         for check in (_few_levels, _frozen):
             if (fault := check(record)) is not None:
                 return [*found, fault]
@@ -193,7 +193,7 @@ def _spikes(record: ChannelRecord) -> Iterator[RecordFinding]:
 
 def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
     """Samples at the rails."""
-    if record.channel.kind not in MOTION or (found := clipping_level(record.y)) is None:
+    if record.channel.kind not in MOTION_UNITS or (found := clipping_level(record.y)) is None:
         return
     level, count = found
     share, limits = count / record.z.size, record.limits
@@ -280,7 +280,7 @@ def _acceleration_of(record: ChannelRecord) -> float:
 
 def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
     """Samples that repeat the one before more often than quantisation makes them."""
-    if record.channel.kind not in MOTION:
+    if record.channel.kind not in MOTION_UNITS:
         return
     part = record.y[: 1 << 18]
     inner = (part > record.z.min()) & (part < record.z.max())  # a clipped channel repeats its rails
@@ -311,7 +311,7 @@ def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
 def _empty_spectrum(record: ChannelRecord) -> Iterator[RecordFinding]:
     """A spectrum that holds not even the rounding of a converter above some frequency."""
     longest = max((stop - first for first, stop in stretches(record.y)), default=0)
-    if longest < 1024 or record.channel.kind not in MOTION:  # a force may be smooth
+    if longest < 1024 or record.channel.kind not in MOTION_UNITS:  # a force may be smooth
         return
     with np.errstate(over="ignore", invalid="ignore"):
         f, psd, _ = power_spectrum(record.y, record.rate_hz, min(4096, longest))

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from estimator.arrays import Array, Complexes
-from estimator.model.rig import MOTION
+from estimator.model.rig import MOTION_UNITS
 
 from .channel_faults import ChannelRecord
 from .channel_summary import segments, stretches
@@ -80,15 +80,15 @@ def find_pair_faults(
     """
     found: list[RecordFinding] = []
     copies: set[str] = set()
-    for a, b in combinations([r for r in records if r.channel.kind in (*MOTION, "force")], 2):
+    for a, b in combinations([r for r in records if r.channel.kind in (*MOTION_UNITS, "force")], 2):
         if {a.channel.name, b.channel.name} & copies:
             continue
         if (copy := _copy(a, b, limits)) is not None:
             copies.update(copy.unusable)
             found.append(copy)
-        elif a.channel.place == b.channel.place and {a.channel.kind, b.channel.kind} <= MOTION.keys():
+        elif a.channel.place == b.channel.place and {a.channel.kind, b.channel.kind} <= MOTION_UNITS.keys():
             found += _same_dof(a, b, band, limits)
-    kept = [r for r in records if r.channel.kind in MOTION and r.channel.name not in copies]
+    kept = [r for r in records if r.channel.kind in MOTION_UNITS and r.channel.name not in copies]
     return found + _level_steps(kept, limits)
 
 

@@ -12,7 +12,7 @@ from estimator.effects import found_by
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
 from estimator.likelihood.motion.checks import check_shape
-from estimator.model.rig import MOTION, UNITS, EffectUse, Model
+from estimator.model.rig import LINEAR_UNITS, MOTION_UNITS, EffectUse, Model
 from estimator.results import Message, Parameter
 
 from .clipping import clipping_level
@@ -78,7 +78,7 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
     parameters |= {
         f"{place}.{name}": Parameter(None, None, unit, identifiable=False, reason=reasons[place])
         for place in lost
-        for name, unit in UNITS.items()
+        for name, unit in LINEAR_UNITS.items()
         if name != "m"
     }
     effects = []
@@ -115,7 +115,7 @@ def _clipping_levels(model: Model, y: Array) -> dict[str, Parameter]:
     out = {}
     for use in (u for u in model.effects if found_by(u.name) == "samples"):
         for k, channel in enumerate(model.channels):
-            if channel.kind in MOTION and any(_covers(at, channel.place) for at in use.parameters):
+            if channel.kind in MOTION_UNITS and any(_covers(at, channel.place) for at in use.parameters):
                 out[f"{channel.place}.{use.name}.level"] = level_parameter(clipping_level(y[:, k]), channel.kind)
     return out
 
@@ -123,8 +123,8 @@ def _clipping_levels(model: Model, y: Array) -> dict[str, Parameter]:
 def level_parameter(found: tuple[float, int] | None, kind: str) -> Parameter:
     """The level of a clipped channel as a parameter. found : level and number of samples, None of another channel."""
     if found is None:
-        return Parameter(None, None, MOTION[kind], identifiable=False, reason="the channel does not clip")
-    return Parameter(found[0], LEVEL_SD_REL * found[0], MOTION[kind])
+        return Parameter(None, None, MOTION_UNITS[kind], identifiable=False, reason="the channel does not clip")
+    return Parameter(found[0], LEVEL_SD_REL * found[0], MOTION_UNITS[kind])
 
 
 def record_messages(survey: RecordSurvey) -> tuple[Message, ...]:

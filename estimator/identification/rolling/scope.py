@@ -16,7 +16,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
-from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
+from estimator.model.rig import CAP_DIRECTIONS, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY
 
@@ -57,7 +57,7 @@ class RollingScope:
         out = {name: self._beside_even_law(name, p) for name, p in found.items()}
         for name, p in found.items():
             node, direction = name.split(".")[:2]
-            own = f"{node}.{direction}" if direction in DIRECTIONS else node  # of both directions of a node
+            own = f"{node}.{direction}" if direction in CAP_DIRECTIONS else node  # of both directions of a node
             why = next((w for place, w in self.lacking.items() if own in (place, place.split(".")[0])), "")
             if why and p.sd != 0.0:  # what is given stays
                 out[name] = Parameter(None, None, p.unit, identifiable=False, reason=why)
@@ -112,7 +112,7 @@ def rolling_scope(model: Model) -> RollingScope:
 
 def _directions(node: str) -> tuple[str, ...]:
     """The places of a node such as "bearing1"."""
-    return tuple(f"{node}.{d}" for d in DIRECTIONS)
+    return tuple(f"{node}.{d}" for d in CAP_DIRECTIONS)
 
 
 def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:

@@ -17,8 +17,8 @@ from estimator.identification.machine.pieces import Pieces
 CELL_WIDTH_REL = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
 PIECES_PER_RECORD, SHORT_PIECES, SHORT_S = 8, 4, 10.0  # blocks of a record, and of one shorter than so many s
 MIN_PIECE_S = 0.05
-TAPERS = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
-TAPER_EFFICIENCY = 2 * TAPERS / (2 * TAPERS + 1)  # degrees of freedom of the average over bins, per bin over 2
+TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
+TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
 LINE_REACH_BINS = 25  # on either side of a bin, for the median about it
 MIN_LINE_REACH_BINS, SIDELOBE_BINS = 3, 1.5  # a line reaches as far as its side lobes, which fall with the distance^4
 LINE_P_VALUE = 1e-4  # for all bins
@@ -136,11 +136,11 @@ def _line_frequencies(f: Array, power: Array, line: NDArray[np.bool_]) -> tuple[
 def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
     """(bins,) mean PSD over the pieces, (bins,) logarithm of the mean over the pieces less the mean of the logarithm,
     averaged over the tapers, and (blocks, bins) PSD of up to sixteen groups of pieces."""
-    k = np.arange(1, TAPERS + 1)[:, None]
+    k = np.arange(1, TAPER_COUNT + 1)[:, None]
     tapers = np.sqrt(2.0 / (pieces.size + 1)) * np.sin(np.pi * k * np.arange(1, pieces.size + 1) / (pieces.size + 1))
     rows = []
     logs = np.zeros(pieces.size // 2 + 1)
-    sums = np.zeros((TAPERS, pieces.size // 2 + 1))
+    sums = np.zeros((TAPER_COUNT, pieces.size // 2 + 1))
     for group in pieces.groups():
         own = np.zeros((len(group), pieces.size // 2 + 1))
         for total, taper in zip(sums, tapers, strict=True):
@@ -149,10 +149,10 @@ def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
             own += P
             total += P.sum(axis=0)
             logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
-        rows.append(own * (2.0 / (pieces.rate_hz * TAPERS)))
+        rows.append(own * (2.0 / (pieces.rate_hz * TAPER_COUNT)))
     every = np.concatenate(rows)
     power = every.mean(axis=0)
-    spread = np.log(np.maximum(sums / len(pieces), 1e-300)).mean(axis=0) - logs / (len(pieces) * TAPERS)
+    spread = np.log(np.maximum(sums / len(pieces), 1e-300)).mean(axis=0) - logs / (len(pieces) * TAPER_COUNT)
     groups = np.array_split(np.arange(len(every)), min(len(every), 16))
     return power, spread, np.stack([every[g].mean(axis=0) for g in groups])
 
@@ -169,7 +169,7 @@ def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
 def _lines(power: Array, spread: Array, count: int, f: Array, tones_hz: Sequence[float]) -> NDArray[np.bool_]:
     """(bins,) bins of tones: narrow peaks that are steady from piece to piece, or at the frequency of a known tone."""
     floor = median_filter(power, 2 * LINE_REACH_BINS + 1, mode="nearest")
-    shape = count * TAPERS
+    shape = count * TAPER_COUNT
     limit = gammainccinv(shape, min(LINE_P_VALUE / power.size, 0.1)) / shape
     high = power > 1.2 * limit * np.maximum(floor, 1e-300)  # the median of few bins is uncertain
     noise_spread = float(digamma(count)) - np.log(count) + np.euler_gamma  # of exponential variables

@@ -20,7 +20,7 @@ from estimator.likelihood.fitting.transfer_function import (
     residual_and_noise,
 )
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
@@ -51,7 +51,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
         gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)
         sd, ratio = rms / np.sqrt(2 * max(gain, 1.0)), np.sqrt(noise[i] / floor)
-        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION_UNITS[data.kinds[i]]
         out.append(
             Finding(
                 effect=SENSOR_NOISE.name,
@@ -76,7 +76,7 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
     share = floor / (point.S[i] * data.excitation_shape[i] + floor)
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
-    return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
+    return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION_UNITS[data.kinds[i]])
 
 
 MAX_UNEVENNESS_RMS = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
@@ -110,7 +110,7 @@ def find_noisy_sensors_under_force(
         if 2 * gain < NOISE_RATIO:
             continue
         rms = float(np.sqrt(density * data.rate_hz / 2))
-        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION_UNITS[data.kinds[i]]
         power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
         out.append(
             Finding(

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.record import RecordSurvey
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import MOTION_UNITS, Model
 from estimator.parallel import map_threads
 
 from .excitation import CellSpectrum, cell_spectrum
@@ -229,7 +229,7 @@ def survey_structure(
     trains = () if machine is None else tuple(train.frequency_hz for train in machine.strikes)
     columns: dict[str, int] = {}
     for k, channel in enumerate(model.channels):
-        if channel.kind in MOTION and channel.place in model.places and channel.name not in record.unusable:
+        if channel.kind in MOTION_UNITS and channel.place in model.places and channel.name not in record.unusable:
             columns.setdefault(channel.place, k)
     forces = {c.place for c in model.channels if c.kind == "force" and c.name not in record.unusable}
 

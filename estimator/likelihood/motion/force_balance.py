@@ -18,7 +18,7 @@ from estimator.effects.places import at, kinematic, written
 from estimator.errors import DataError
 from estimator.model.disc import Disc, disc_of
 from estimator.model.effect import Effect
-from estimator.model.rig import MOTION, UNITS, Model, Setting
+from estimator.model.rig import LINEAR_UNITS, MOTION_UNITS, Model, Setting
 
 UNKNOWN_SETTING = Setting()
 
@@ -104,7 +104,8 @@ class Balance:
 
 def motion_channels(model: Model) -> list[int]:
     """Index of the channel that measures the motion of each place (the first one, where there are several)."""
-    return [next(i for i, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
+    moving = [(i, c.place) for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
+    return [next(i for i, place in moving if place == p) for p in model.places]
 
 
 def force_channels(model: Model) -> dict[int, int]:
@@ -247,11 +248,11 @@ def _add_caps(model: Model, values: Mapping[str, float], entries: _Entries) -> N
         linear = model.linear.get(place, {})
         mass = model.cap_mass(place)
         setting, start = Setting(mass, fixed=mass is not None), values.get(f"{place}.m", 0.0)
-        entries.add(f"{place}.m", UNITS["m"], setting, start, (i, i, 1.0))
+        entries.add(f"{place}.m", LINEAR_UNITS["m"], setting, start, (i, i, 1.0))
         for key, k in (("c", len(places) + i), ("kL", 2 * len(places) + i)):
             setting = linear.get(key, UNKNOWN_SETTING)
             start = values.get(f"{place}.{key}", setting.value or 0.0)
-            entries.add(f"{place}.{key}", UNITS[key], setting, start, (i, k, 1.0))
+            entries.add(f"{place}.{key}", LINEAR_UNITS[key], setting, start, (i, k, 1.0))
 
 
 def _add_shaft(model: Model, columns: list[Column], entries: _Entries) -> None:

@@ -161,6 +161,8 @@ def law_along_record(
         if linear is not None:
             own = linear(2 * np.pi * data.f_hz)
             return linear_memory.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
+        if not np.isfinite(data.displacement(i).sum() + p.sum()):
+            raise NotFiniteError(placed.effect.name, data.places[i])
         f, mean = memory_force_and_response(placed.effect, p, lin[i], data.displacement(i), data.v[i], data.rate_hz)
         return f, slopes, own_response(mean.at(data.f_hz), i, data)
     if placed.effect.kind == "shaft":

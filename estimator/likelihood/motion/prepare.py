@@ -12,7 +12,7 @@ from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.model.disc import disc_of
-from estimator.model.rig import MOTION, Model
+from estimator.model.rig import Model
 from estimator.parallel import map_threads
 from estimator.results import Message
 from estimator.signals.band_limit import below_band_force
@@ -21,7 +21,7 @@ from estimator.signals.channel_response import anti_alias_response, corrected_re
 from estimator.signals.shaft_angle import measured_phase
 
 from .checks import check_moves
-from .force_balance import shaft_reaction
+from .force_balance import motion_channels, shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
@@ -149,7 +149,7 @@ def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
         )
     if not model.places:
         raise DataError("the rig has no motion channel at a bearing: nothing to compare")
-    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
+    moving = motion_channels(model)
     forces = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     shaken = {p: forces[p] for p in model.places if p in forces}
     for k in (*moving, *shaken.values()):

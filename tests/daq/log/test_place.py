@@ -432,8 +432,9 @@ def test_a_full_disk_leaves_no_half_of_a_file(
         status = rotorscope(long, *words)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    (said,) = capsys.readouterr().err.splitlines()
+    *warnings, said = capsys.readouterr().err.splitlines()
     assert status == 4
+    assert all("warning: " in line for line in warnings)
     assert "File too large; " in said
     assert logs(long) == before
     row = f"`{words[0]}` on a full disk | limit on the file's size, {words[1]} | one line, no half of a file"

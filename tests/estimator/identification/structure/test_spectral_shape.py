@@ -9,6 +9,7 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
+from estimator.diagnosis.comparison.survey import survey_bearing
 from estimator.diagnosis.hypotheses.screen import rank_on_part
 from estimator.diagnosis.verdict.bearing import SPECTRUM_UNEXPLAINED, quiet
 from estimator.diagnosis.verdict.diagnose import diagnose
@@ -57,7 +58,7 @@ def test_a_colour_that_leaves_much_once_it_is_fitted_is_not_named(hz: float, qua
     found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
     assert found.verdict == "unknown"
     assert found.ranking[0].after_percent > 0.4 * found.ranking[0].before_percent
-    assert found.messages[0].code == "nearest_leaves"
+    assert "nearest_leaves" in [message.code for message in found.messages]
     assert SPECTRUM_UNEXPLAINED in found.messages
 
 
@@ -119,7 +120,7 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
         ),
     )
     whole = fit_all_effects(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
-    entries = rank_on_part(whole.model, whole.point, y, quiet).entries
+    entries = rank_on_part(whole.model, survey_bearing(whole.model, whole.point, y)[0], quiet).entries
     assert entries[0].effect == "cross_coupling"
     assert spectral_shape.refit_with_seen_spectra(rig, whole.point, 0.0) is not None, (
         "no cause of the catalogue makes this spectrum"

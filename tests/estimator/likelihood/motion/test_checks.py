@@ -18,8 +18,8 @@ MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", 
     [
         (lambda z: 0 * z, "b is zero throughout"),
         (lambda z: 0 * z + 3.3, "b is constant at 3.3"),
-        (lambda z: 1e300 * z, r"b reaches \S+e\+300 in SI units: check its unit"),
-        (lambda z: 1e-300 * z, r"b reaches \S+e-300 in SI units: check its unit"),
+        (lambda z: 1e300 * z, "b .*check its unit"),
+        (lambda z: 1e-300 * z, "b .*check its (unit|offset)"),
         (lambda z: z * np.nan, "b has no valid samples"),
     ],
 )
