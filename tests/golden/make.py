@@ -51,7 +51,8 @@ def differences(golden: Any, now: Any, at: str = "") -> Iterator[str]:
 
     Another machine rounds the simulated samples otherwise. Values of parameters may move by 0.5 standard deviations
     (a processor without fused multiplication moves the gap of a clearance by 0.4), standard deviations by 5 %,
-    percentages by 0.1, other numbers by 1 %. Candidates of a ranking without significance are left out.
+    percentages by 0.1, distances from the simulated twin by 5 % (it is one random record, and the last bits of a fit
+    decide which), other numbers by 1 %. Candidates of a ranking without significance are left out.
     """
     if isinstance(golden, dict) and isinstance(now, dict):
         if golden.keys() != now.keys():
@@ -72,7 +73,8 @@ def differences(golden: Any, now: Any, at: str = "") -> Iterator[str]:
         for i, (one, other) in enumerate(zip(golden, now, strict=True)):
             yield from differences(one, other, f"{at}[{i}]")
     elif isinstance(golden, float) and isinstance(now, float | int):
-        if abs(now - golden) > (0.05 if at.endswith(".sd") else 0.01) * abs(golden) + (
+        wide = at.endswith(".sd") or "_distance" in at
+        if abs(now - golden) > (0.05 if wide else 0.01) * abs(golden) + (
             0.1 if "percent" in at else 1e-3
         ):
             yield f"{at}: {now:g}, was {golden:g}"
