@@ -18,7 +18,7 @@ from estimator.effects.engine.page import markdown
 from estimator.effects.engine.strength import Size, defaults, rms, search_range, strengths
 from estimator.model.effect import Effect, EffectParameter
 
-CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, stribeck, quadratic_damping,
+CONTRACT_EFFECTS = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, stribeck, quadratic_damping,
 displacement_damping, bouc_wen, imbalance, misalignment, bow, ball_pass, local_defect, crack, rub, cross_coupling,
 anisotropy, gyroscopic, pedestal, stiffness_drift, correlated_force, coloured_excitation, line, sensor_gain,
 sensor_clipping, sensor_skew, sensor_resonance, sensor_noise"""
@@ -53,7 +53,7 @@ def random_parameters(effect: Effect, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_every_name_of_the_contract_is_there() -> None:
-    assert list(CATALOGUE) == re.split(r",\s*", CONTRACT)
+    assert list(CATALOGUE) == re.split(r",\s*", CONTRACT_EFFECTS)
     assert all(name == effect.name for name, effect in CATALOGUE.items())
 
 

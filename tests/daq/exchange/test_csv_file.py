@@ -14,15 +14,15 @@ from daq.exchange.checks import Record, load
 from daq.exchange.columns import date_ns
 from daq.rig.rig import Rig
 
-CHANNEL = """[[channel]]
+XY_TOML = """[[channel]]
 name = "{0}"
 node = "bearing1"
 direction = "{0}"
 unit = "m/s^2"
 """
-HEAD = "schema = 1\n[band]\nlow = 1.0\nhigh = 40.0\n"
-RIG = Rig.parse(HEAD + CHANNEL.format("x") + CHANNEL.format("y"))
-AT_100_HZ = Rig.parse(HEAD + "[acquisition]\nrate_hz = 100.0\n" + CHANNEL.format("x") + CHANNEL.format("y"))
+HEAD_TOML = "schema = 1\n[band]\nlow = 1.0\nhigh = 40.0\n"
+XY_RIG = Rig.parse(HEAD_TOML + XY_TOML.format("x") + XY_TOML.format("y"))
+AT_100_HZ = Rig.parse(HEAD_TOML + "[acquisition]\nrate_hz = 100.0\n" + XY_TOML.format("x") + XY_TOML.format("y"))
 K = np.arange(60)
 X, Y = 1000 + K / 8, -K / 4
 
@@ -54,8 +54,8 @@ def time_of_day(k: int) -> str:
     return f"{int(seconds / 3600):02d}:{int(seconds / 60 % 60):02d}:{seconds % 60:05.2f}".replace("60.00", "00.00")
 
 
-STAMPED = rows(lambda k: f"2024-05-31T13:05:{k / 100:09.6f}+02:00", "Time;x;y")
-GOOD = {
+STAMPED_ROWS = rows(lambda k: f"2024-05-31T13:05:{k / 100:09.6f}+02:00", "Time;x;y")
+READABLE_FILES = {
     "plain": table("%.6f"),
     "german": german(table("%.6f", ";", "time;x;y".replace(";", ","))),
     "german, three decimals": german(table("%.3f", ";")),
@@ -89,25 +89,25 @@ GOOD = {
             ),
         ]
     ),  # fmt: skip
-    "stamps": STAMPED,
+    "stamps": STAMPED_ROWS,
     "times of day past midnight": rows(time_of_day),
 }
 
 
-@pytest.mark.parametrize("kind", GOOD)
+@pytest.mark.parametrize("kind", READABLE_FILES)
 def test_a_table_is_read_as_it_is_meant(tmp_path: Path, kind: str) -> None:
-    record = read(tmp_path, GOOD[kind])
+    record = read(tmp_path, READABLE_FILES[kind])
     assert record.rate_hz == pytest.approx(100.0, rel=1e-6)
     np.testing.assert_allclose(record.si(), np.column_stack([X, Y]), atol=6e-3 if "decimals" in kind else 1e-9)
 
 
 def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
     started = unix_ns("2024-05-31T11:05:00Z")
-    assert read(tmp_path, GOOD["stamps"]).started_ns == started
-    assert read(tmp_path, GOOD["remarks"]).started_ns == started
+    assert read(tmp_path, READABLE_FILES["stamps"]).started_ns == started
+    assert read(tmp_path, READABLE_FILES["remarks"]).started_ns == started
     assert read(tmp_path, "Start time: 2024-05-31 11:05:00Z\n" + table("%.6f")).started_ns == started
     epoch = rows(lambda k: f"{1717153500000 + 10 * k}", "timestamp;x;y")
-    record = read(tmp_path, epoch, RIG)
+    record = read(tmp_path, epoch, XY_RIG)
     assert record.rate_hz == 100.0
     assert record.started_ns == started
     assert read(tmp_path, table("%.6f")).started_ns is None
@@ -121,14 +121,17 @@ def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "rig", "said"),
     [
-        (table("%.6f", ",", "time [ticks],x,y"), RIG, 'the time is in "ticks", which is no unit of time; write one'),
+        (table("%.6f", ",", "time [ticks],x,y"), XY_RIG, 'the time is in "ticks", which is no unit of time; write one'),
         (table("%.6f", ",", "time,x,y", 1e3), AT_100_HZ, r'in s it gives 0.1 Hz, in ms the .*100 Hz.*"time \[ms\]"'),
         (table("%.6f", ",", "time,x,y", 1 / 60), AT_100_HZ, r"in s it gives 6000\S* Hz, in min"),
-        (table("%.6f", ",", "time,x,y", 1e6), RIG, "lower band.high, or check the rate, or whether its time is in s"),
-        (german(table("%.6f")), RIG, ":2: 6 cells where the header has 3: these may be decimal commas"),
-        ("time;x;y\n" + 60 * "1,000;2,000;3,000\n", RIG, '"1,000" may be 1.000 or 1000; write its numbers with'),
-        (table("%.6f").replace("\n0.100000,", "\nnow,"), RIG, ":12: time: \"now\" is not a number"),
-        (table("%.6f").replace("time", "x"), RIG, 'the header names "x" twice'),
+        (
+            table("%.6f", ",", "time,x,y", 1e6), XY_RIG,
+            "lower band.high, or check the rate, or whether its time is in s",
+        ),
+        (german(table("%.6f")), XY_RIG, ":2: 6 cells where the header has 3: these may be decimal commas"),
+        ("time;x;y\n" + 60 * "1,000;2,000;3,000\n", XY_RIG, '"1,000" may be 1.000 or 1000; write its numbers with'),
+        (table("%.6f").replace("\n0.100000,", "\nnow,"), XY_RIG, ":12: time: \"now\" is not a number"),
+        (table("%.6f").replace("time", "x"), XY_RIG, 'the header names "x" twice'),
     ],
 )  # fmt: skip
 def test_what_is_doubtful_is_refused_with_its_reason(tmp_path: Path, text: str, rig: Rig, said: str) -> None:
@@ -140,8 +143,8 @@ def test_a_hole_in_time_becomes_a_gap_if_that_is_allowed(tmp_path: Path) -> None
     lines = table("%.6f").splitlines()
     (tmp_path / "a.csv").write_text("\n".join(lines[:21] + lines[26:]) + "\n")
     with pytest.raises(LogError, match="about 5 samples are missing before row 20"):
-        load(tmp_path / "a.csv", RIG, None, print)
-    record = load(tmp_path / "a.csv", RIG, None, print, gaps=True)
+        load(tmp_path / "a.csv", XY_RIG, None, print)
+    record = load(tmp_path / "a.csv", XY_RIG, None, print, gaps=True)
     assert record.missing is not None
     np.testing.assert_array_equal(np.flatnonzero(record.missing), np.arange(20, 25))
     np.testing.assert_allclose(record.si()[25:], np.column_stack([X, Y])[25:])

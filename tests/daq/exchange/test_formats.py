@@ -19,7 +19,7 @@ from daq.exchange.checks import Record, checked, load
 from daq.exchange.formats import by_channel, of_answer
 from daq.rig.rig import Rig
 
-RATE = 1000.0
+RATE_HZ = 1000.0
 TEXT = """schema = 1
 [band]
 low = 10.0
@@ -40,9 +40,9 @@ direction = "y"
 unit = "m/s^2"
 """
 Y = np.random.default_rng(0).standard_normal((400, 2))
-TIME = np.arange(400) / RATE
+TIME = np.arange(400) / RATE_HZ
 X_ONLY = {"x": Y[:, 0], "y": Y[:, 1]}
-STARTED = "2024-05-31T11:05:00Z"
+STARTED_UTC = "2024-05-31T11:05:00Z"
 
 
 def rig(x: str = "", full: str = "") -> Rig:
@@ -70,7 +70,7 @@ def refused(path: Path, said: str, of: Rig | None = None) -> None:
 
 
 def assert_read(record: Record, y: np.ndarray = Y, atol: float = 1e-9) -> None:
-    assert record.rate_hz == pytest.approx(RATE, rel=1e-6)
+    assert record.rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
     np.testing.assert_allclose(record.si(), y, atol=atol)
 
 
@@ -81,36 +81,36 @@ def mat(folder: Path, **values: Any) -> Path:
 
 @pytest.mark.parametrize("name", ["rate_hz", "fs", "Fs", "FS", "SampleRate", "sampling_rate", "Sample_Frequency"])
 def test_a_rate_by_its_usual_names(tmp_path: Path, name: str) -> None:
-    assert_read(read(mat(tmp_path, **X_ONLY, **{name: RATE})))
-    np.savez(tmp_path / "a.npz", **X_ONLY, **{name: RATE})
+    assert_read(read(mat(tmp_path, **X_ONLY, **{name: RATE_HZ})))
+    np.savez(tmp_path / "a.npz", **X_ONLY, **{name: RATE_HZ})
     assert_read(read(tmp_path / "a.npz"))
 
 
 def test_a_struct_by_the_names_of_its_fields(tmp_path: Path) -> None:
-    assert_read(read(mat(tmp_path, data={"x": Y[:, 0], "y": Y[:, 1], "Fs": RATE}), rig()))
-    assert_read(read(mat(tmp_path, d={"a": {"x": Y[:, 0], "y": Y[:, 1]}, "dt": 1 / RATE})))
-    two = mat(tmp_path, a=X_ONLY, b={"x": 2 * Y[:, 0]}, fs=RATE)
+    assert_read(read(mat(tmp_path, data={"x": Y[:, 0], "y": Y[:, 1], "Fs": RATE_HZ}), rig()))
+    assert_read(read(mat(tmp_path, d={"a": {"x": Y[:, 0], "y": Y[:, 1]}, "dt": 1 / RATE_HZ})))
+    two = mat(tmp_path, a=X_ONLY, b={"x": 2 * Y[:, 0]}, fs=RATE_HZ)
     refused(two, r'x is there 2 times, as a.x, b.x; say which one by alias = "a.x"')
     assert_read(read(two, rig('alias = "b.x"')), Y * [2, 1])
-    assert_read(read(mat(tmp_path, m=Y[:, ::-1], y=Y[:, 1], fs=RATE), rig('alias = "m(:,2)"')))
+    assert_read(read(mat(tmp_path, m=Y[:, ::-1], y=Y[:, 1], fs=RATE_HZ), rig('alias = "m(:,2)"')))
 
 
 def test_channels_as_structs_with_data_in_them(tmp_path: Path) -> None:
-    one = {n: {"data": Y[:, k], "fs": RATE} for k, n in enumerate("xy")}
+    one = {n: {"data": Y[:, k], "fs": RATE_HZ} for k, n in enumerate("xy")}
     assert_read(read(mat(tmp_path, run=one)))
     several = np.array([(n, Y[:, k]) for k, n in enumerate("xy")], dtype=[("Name", "O"), ("Data", "O")])
-    assert_read(read(mat(tmp_path, channels=several, Fs=RATE)))
+    assert_read(read(mat(tmp_path, channels=several, Fs=RATE_HZ)))
 
 
 def test_a_time_vector_beside_a_rate_has_to_agree_with_it(tmp_path: Path) -> None:
-    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, time=TIME)))
-    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE, t_ms=1e3 * TIME)))
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=TIME)))
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, t_ms=1e3 * TIME)))
     refused(mat(tmp_path, **X_ONLY, fs=2000.0, time=TIME), "says a rate of 2000 Hz, but its time gives 1000 Hz")
     hole = np.where(TIME > 0.2, TIME + 0.05, TIME)
-    refused(mat(tmp_path, **X_ONLY, fs=RATE, time=hole), "about 50 samples are missing before row 201")
-    refused(mat(tmp_path, **X_ONLY, fs=RATE, Fs=500.0), "fs says 1000 Hz, Fs 500 Hz; remove the one")
+    refused(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=hole), "about 50 samples are missing before row 201")
+    refused(mat(tmp_path, **X_ONLY, fs=RATE_HZ, Fs=500.0), "fs says 1000 Hz, Fs 500 Hz; remove the one")
     refused(mat(tmp_path, **X_ONLY, time=1e3 * TIME), r'in ms the .*1000 Hz.*"time \[ms\]"')
-    np.savez(tmp_path / "a.npz", **X_ONLY, rate_hz=RATE, time=hole)
+    np.savez(tmp_path / "a.npz", **X_ONLY, rate_hz=RATE_HZ, time=hole)
     refused(tmp_path / "a.npz", "50 samples are missing")
 
 
@@ -140,7 +140,7 @@ def test_mf4_units_and_date(tmp_path: Path) -> None:
     record = read(mf4(tmp_path, [both(1e3, "mm/s²")], datetime(2024, 5, 31, 11, 4, 58, 500_000, UTC)), said=said)
     assert_read(record)
     assert said[0] == 'x is in "mm/s²" there, and in "m/s^2" in the rig file: converted'
-    assert record.started_ns == unix_ns(STARTED)
+    assert record.started_ns == unix_ns(STARTED_UTC)
     assert read(mf4(tmp_path, [both()])).started_ns is None
 
 
@@ -157,7 +157,7 @@ def test_mf4_masters_say_their_unit(tmp_path: Path) -> None:
             file.groups[0].channels[0].unit = unit
             found = child.of_mf4(file, ["x", "y"])
         record = checked(path, of_answer(path, child.answer(found)), rig(), None, print)
-        assert record.rate_hz == pytest.approx(RATE)
+        assert record.rate_hz == pytest.approx(RATE_HZ)
     with MDF(path) as file:
         file.groups[0].channels[0].unit = "deg"
         with pytest.raises(child.Told, match='x was recorded over "time" in deg, which is no unit of time'):
@@ -231,13 +231,13 @@ def test_hdf5_and_matlab_7_3(tmp_path: Path) -> None:
         group = file.create_group("run")
         for k, name in enumerate("xy"):
             group.create_dataset(name, data=Y[:, k]).attrs["unit"] = "g"
-        group.attrs["sample_rate"] = RATE
-        file.attrs["started"] = STARTED
+        group.attrs["sample_rate"] = RATE_HZ
+        file.attrs["started"] = STARTED_UTC
     record = read(tmp_path / "a.h5")
     assert_read(record, Y * 9.80665)
-    assert record.started_ns == unix_ns(STARTED)
+    assert record.started_ns == unix_ns(STARTED_UTC)
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
-        for name, values in (("data/x", Y[:, :1].T), ("data/y", Y[:, 1:].T), ("data/Fs", [[RATE]])):
+        for name, values in (("data/x", Y[:, :1].T), ("data/y", Y[:, 1:].T), ("data/Fs", [[RATE_HZ]])):
             file.create_dataset(name, data=values)
     head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
     (tmp_path / "a.mat").write_bytes(head + (tmp_path / "a.mat").read_bytes()[len(head) :])
@@ -246,12 +246,12 @@ def test_hdf5_and_matlab_7_3(tmp_path: Path) -> None:
 
 def test_tdms(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
-    about = {"wf_increment": 1 / RATE, "unit_string": "g", "wf_start_time": np.datetime64("2024-05-31T11:05:00")}
+    about = {"wf_increment": 1 / RATE_HZ, "unit_string": "g", "wf_start_time": np.datetime64("2024-05-31T11:05:00")}
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
         file.write_segment([nptdms.ChannelObject("run", n, Y[:, k], about) for k, n in enumerate("xy")])
     record = read(tmp_path / "a.tdms")
     assert_read(record, Y * 9.80665)
-    assert record.started_ns == unix_ns(STARTED)
+    assert record.started_ns == unix_ns(STARTED_UTC)
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_parquet(tmp_path: Path) -> None:
     parquet.write_table(pyarrow.table({"timestamp": stamps, "x": Y[:, 0], "y": Y[:, 1]}), tmp_path / "a.parquet")
     record = read(tmp_path / "a.parquet")
     assert_read(record)
-    assert record.started_ns == unix_ns(STARTED)
+    assert record.started_ns == unix_ns(STARTED_UTC)
 
 
 @pytest.mark.parametrize("ending", ["h5", "tdms", "parquet"])

@@ -10,7 +10,7 @@ import pytest
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
 
-RIG = """schema = 1
+JOINED_RIG_TOML = """schema = 1
 [band]
 low = 10.0
 high = 400.0
@@ -31,7 +31,7 @@ def write(folder: Path, name: str, rows: slice, started: str | None, rate: float
 
 
 def load(folder: Path, *files: str) -> int:
-    (folder / "rig.toml").write_text(RIG)
+    (folder / "rig.toml").write_text(JOINED_RIG_TOML)
     return main(["import", *files, "--rig", str(folder / "rig.toml"), "--out", str(folder / "a.mcap")])
 
 

@@ -14,9 +14,9 @@ from daq.report.signal_spectra import signal_spectra
 from estimator import Channel, Model
 from estimator.model import BearingGeometry
 
-RATE = 12000.0
+RATE_HZ = 12000.0
 BEARING = BearingGeometry(9, 7.94e-3, 39.04e-3)
-RIG = Model((Channel("de", "bearing1", "y"),), band=(500.0, 5000.0), bearing=BEARING)
+HOUSING_RIG = Model((Channel("de", "bearing1", "y"),), band=(500.0, 5000.0), bearing=BEARING)
 
 
 @pytest.fixture
@@ -67,11 +67,11 @@ def test_spectra_are_drawn_with_tones_and_defect_frequencies_also_of_many_short_
 ) -> None:
     y = np.random.default_rng(0).standard_normal((60, 1500, 1))
     y[:, 1244:] = np.nan
-    signal = signal_spectra(RIG, y.reshape(-1, 1), RATE, diagnosis)
+    signal = signal_spectra(HOUSING_RIG, y.reshape(-1, 1), RATE_HZ, diagnosis)
     assert signal["envelopes"]["de"]["band_hz"] == [2500.0, 4000.0]
     assert {label for _, label in signal["envelopes"]["de"]["marks"]} == {"BPFO", "BPFI", "BSF", "FTF"}
     psd = np.array(signal["spectra"]["de"]["psd"])
-    assert np.median(psd) == pytest.approx(2.0 / RATE, rel=0.2), "white noise of variance one"
+    assert np.median(psd) == pytest.approx(2.0 / RATE_HZ, rel=0.2), "white noise of variance one"
     drawn = signal_figures.pictures(signal)
     assert "BPFO" in str(drawn["envelopes"])
     assert "1X" in str(drawn["measured"])

@@ -10,7 +10,7 @@ from daq.rig.rig import Rig
 from daq.rig.rig_file import ChannelTable
 from daq.rig.units import STANDARD_GRAVITY
 
-RIG = """schema = 1
+CONVERTED_RIG_TOML = """schema = 1
 [band]
 low = 10.0
 high = 400.0
@@ -22,7 +22,7 @@ direction = "x"
 
 
 def channel(text: str) -> ChannelTable:
-    return Rig.parse(RIG + text).file.channel[0]
+    return Rig.parse(CONVERTED_RIG_TOML + text).file.channel[0]
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,6 @@ def test_mistakes_in_the_rig_file(rig: str, said: str) -> None:
 
 
 def test_a_channel_in_volts_is_in_the_unit_of_its_sensor_elsewhere() -> None:
-    rig = Rig.parse(RIG + 'unit = "mV"\nsensitivity = { value = 100.0, unit = "mV/g" }')
+    rig = Rig.parse(CONVERTED_RIG_TOML + 'unit = "mV"\nsensitivity = { value = 100.0, unit = "mV/g" }')
     assert rig.units["x"] == "g"
     assert rig.factors[0] == STANDARD_GRAVITY

@@ -12,14 +12,14 @@ from daq.rig.rig import Rig
 from daq.session.record_watch import RecordWatch
 from drivers.contract.reading import Block, Info, Signal
 
-RATE = 1000.0
-RIG = Rig.parse(Path(__file__).parents[3].joinpath("daq", "commands", "demo_rig.toml").read_text("utf-8"))
-INFO = Info(tuple(Signal(c.name, "m/s^2", 1e-2, 0.0) for c in RIG.model.channels), RATE)
+RATE_HZ = 1000.0
+DEMO_RIG = Rig.parse(Path(__file__).parents[3].joinpath("daq", "commands", "demo_rig.toml").read_text("utf-8"))
+INFO = Info(tuple(Signal(c.name, "m/s^2", 1e-2, 0.0) for c in DEMO_RIG.model.channels), RATE_HZ)
 
 
 def said(counts: NDArray[np.int16], live: bool = False) -> list[str]:
-    sink = RecordWatch(RIG.model, live)
-    sink.start(Session(model=RIG.model, info=INFO, device="", attachments={}, metadata={}))
+    sink = RecordWatch(DEMO_RIG.model, live)
+    sink.start(Session(model=DEMO_RIG.model, info=INFO, device="", attachments={}, metadata={}))
     out = []
     for first in range(0, len(counts), 100):
         sink.readings([Block(first, counts[first : first + 100], 0)])
@@ -34,7 +34,7 @@ def said(counts: NDArray[np.int16], live: bool = False) -> list[str]:
 
 def record(seconds: float = 40.0) -> NDArray[np.int16]:
     rng = np.random.default_rng(0)
-    return (100 * rng.standard_normal((int(seconds * RATE), len(RIG.model.channels)))).astype(np.int16)
+    return (100 * rng.standard_normal((int(seconds * RATE_HZ), len(DEMO_RIG.model.channels)))).astype(np.int16)
 
 
 def test_good_channels_are_not_spoken_of() -> None:

@@ -8,7 +8,7 @@ from scipy import signal
 
 from estimator.model.recorder import AntiAlias
 
-RATE = 4096.0
+RATE_HZ = 4096.0
 F = np.linspace(1.0, 1700.0, 200)
 ANALOGUE = {
     "butterworth": signal.butter(5, 2 * np.pi * 1200.0, analog=True),
@@ -20,7 +20,7 @@ ANALOGUE = {
 
 @pytest.mark.parametrize("kind", ANALOGUE)
 def test_the_response_is_that_of_the_design_without_its_delay(kind: str) -> None:
-    own = AntiAlias(kind=kind, order=5, cutoff_hz=1200.0).response(F, RATE)  # type: ignore[arg-type]
+    own = AntiAlias(kind=kind, order=5, cutoff_hz=1200.0).response(F, RATE_HZ)  # type: ignore[arg-type]
     _, wanted = signal.freqs(*ANALOGUE[kind], 2 * np.pi * F)
     _, at_zero = signal.freqs(*ANALOGUE[kind], [1e-3])
     assert abs(own) == pytest.approx(abs(wanted / at_zero[0]), rel=1e-9)
@@ -30,13 +30,13 @@ def test_the_response_is_that_of_the_design_without_its_delay(kind: str) -> None
 
 
 def test_taps_have_no_phase() -> None:
-    own = AntiAlias(kind="fir", order=24, cutoff_hz=1200.0).response(F, RATE)
-    _, wanted = signal.freqz(signal.firwin(25, 1200.0, fs=RATE), worN=F, fs=RATE)
+    own = AntiAlias(kind="fir", order=24, cutoff_hz=1200.0).response(F, RATE_HZ)
+    _, wanted = signal.freqz(signal.firwin(25, 1200.0, fs=RATE_HZ), worN=F, fs=RATE_HZ)
     assert own.real == pytest.approx(abs(wanted) * np.sign(own.real), rel=1e-9, abs=1e-12)
     assert not own.imag.any()
 
 
 def test_a_slow_filter_is_trusted_less_far_than_a_steep_one() -> None:
-    slow = AntiAlias(kind="bessel", order=3, cutoff_hz=1200.0).trusted_to_hz(RATE)
-    steep = AntiAlias(kind="butterworth", order=8, cutoff_hz=1500.0).trusted_to_hz(RATE)
-    assert 100.0 < slow < 1200.0 < steep < RATE / 2
+    slow = AntiAlias(kind="bessel", order=3, cutoff_hz=1200.0).trusted_to_hz(RATE_HZ)
+    steep = AntiAlias(kind="butterworth", order=8, cutoff_hz=1500.0).trusted_to_hz(RATE_HZ)
+    assert 100.0 < slow < 1200.0 < steep < RATE_HZ / 2

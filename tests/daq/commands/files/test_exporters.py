@@ -17,10 +17,10 @@ from daq.log.writer import LogWriter
 from drivers.contract import Block, Info, Signal
 
 START_NS = 1_700_000_000 * 10**9
-STARTED = "2023-11-14T22:13:20.000000Z"
-NAMES = ("a.b", "a_b", "same", "same", "rate_hz", "time", "file", "2x", "same_2", "a,b")
-COUNTS = np.arange(500 * len(NAMES), dtype=np.int32).reshape(500, len(NAMES))
-RIG = """schema = 1
+STARTED_UTC = "2023-11-14T22:13:20.000000Z"
+TEN_NAMES = ("a.b", "a_b", "same", "same", "rate_hz", "time", "file", "2x", "same_2", "a,b")
+SAMPLE_COUNTS = np.arange(500 * len(TEN_NAMES), dtype=np.int32).reshape(500, len(TEN_NAMES))
+RIG_TOML = """schema = 1
 [band]
 low = 10.0
 high = 40.0
@@ -32,12 +32,12 @@ unit = "g"
 """
 
 
-def write(folder: Path, first_ns: int = START_NS, names: tuple[str, ...] = NAMES, rig: str = RIG) -> str:
+def write(folder: Path, first_ns: int = START_NS, names: tuple[str, ...] = TEN_NAMES, rig: str = RIG_TOML) -> str:
     info = Info(tuple(Signal(n, "m/s^2", 1.0) for n in names), 100.0)
     attachments = {"rig.toml": rig.encode()} if rig else {}
     writer = LogWriter(folder / "a.mcap", live=False, recorded=Recorded())
     writer.start(replace(make_session(), info=info, attachments=attachments))
-    writer.readings([Block(0, COUNTS[:, : len(names)], first_ns + 4_990_000_000)])
+    writer.readings([Block(0, SAMPLE_COUNTS[:, : len(names)], first_ns + 4_990_000_000)])
     writer.close()
     return str(folder / "a.mcap")
 
@@ -64,20 +64,20 @@ def test_channels_whose_names_are_taken_are_all_there(
     assert main(["export", write(tmp_path), "--to", str(out)]) == 0
     assert 'channel 4, "same", is called "same_3" there' in capsys.readouterr().err
     there = columns(out)
-    assert len(there) == len(NAMES)
-    scales = np.where(np.array(NAMES) == "time", 1 / 9.80665, 1.0)
+    assert len(there) == len(TEN_NAMES)
+    scales = np.where(np.array(TEN_NAMES) == "time", 1 / 9.80665, 1.0)
     for k, scale in enumerate(scales):
-        np.testing.assert_allclose(there[k], COUNTS[:, k] * scale)
+        np.testing.assert_allclose(there[k], SAMPLE_COUNTS[:, k] * scale)
 
 
 def test_the_date_is_in_every_export(tmp_path: Path) -> None:
     log = write(tmp_path, names=("b1x",))
     for ending in ("npz", "mat", "csv", "wav", "mf4"):
         assert main(["export", log, "--to", str(tmp_path / f"b.{ending}")]) == 0
-    assert str(np.load(tmp_path / "b.npz")["started"]) == STARTED
-    assert scipy.io.loadmat(tmp_path / "b.mat")["started"].item() == STARTED
-    assert (tmp_path / "b.csv").read_text().splitlines()[-1] == f"# started {STARTED}"
-    assert STARTED.encode() in (tmp_path / "b.wav").read_bytes()
+    assert str(np.load(tmp_path / "b.npz")["started"]) == STARTED_UTC
+    assert scipy.io.loadmat(tmp_path / "b.mat")["started"].item() == STARTED_UTC
+    assert (tmp_path / "b.csv").read_text().splitlines()[-1] == f"# started {STARTED_UTC}"
+    assert STARTED_UTC.encode() in (tmp_path / "b.wav").read_bytes()
     with MDF(tmp_path / "b.mf4") as file:
         assert file.header.start_time.timestamp() == START_NS / 1e9
 

@@ -23,8 +23,8 @@ from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
 from estimator.results import NOT_JUDGED, Message
 
-RATE = 5120.0
-RIG = Model(
+RATE_HZ = 5120.0
+ONE_CAP_RIG = Model(
     (Channel("b1x", "bearing1", "x"), Channel("b1y", "bearing1", "y")),
     band=(100.0, 2000.0),
     mass={"bearing1": 0.2},
@@ -35,14 +35,14 @@ RIG = Model(
 
 def bad_records() -> Iterator[Any]:
     """Records that carry no judgement of the bearings, and a word of the reason."""
-    n = round(4 * RATE)
+    n = round(4 * RATE_HZ)
     noise = np.random.default_rng(0).standard_normal((n, 2))
     gaps = np.where(((np.arange(n) // 256) % 2 == 1)[:, None], np.nan, noise)
-    t = np.arange(n)[:, None] / RATE
+    t = np.arange(n)[:, None] / RATE_HZ
     tones = np.sin(2 * np.pi * 30 * t) + 0.3 * np.sin(2 * np.pi * 777 * t + [0, 1])
     yield pytest.param(tones + 0.01 * noise, "resonance", id="tones")
     yield pytest.param(noise, "resonance", id="noise")
-    yield pytest.param(noise[: round(0.1 * RATE)], "resonance", id="0.1 s")
+    yield pytest.param(noise[: round(0.1 * RATE_HZ)], "resonance", id="0.1 s")
     yield pytest.param(gaps, "resonance", id="half of it gaps")
     yield pytest.param(noise * [1, 0], "resonance", id="one channel")
     yield pytest.param(np.sign(noise), "one bit", id="one bit")
@@ -54,10 +54,10 @@ def bad_records() -> Iterator[Any]:
 def test_a_bad_record_gets_the_true_reason_in_one_line_and_what_can_be_answered(y: np.ndarray, reason: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = diagnose(RIG, y, RATE)
+        found = diagnose(ONE_CAP_RIG, y, RATE_HZ)
         for command in (fit, compare, improve):
             with pytest.raises(DataError) as caught:
-                command(RIG, y, RATE)
+                command(ONE_CAP_RIG, y, RATE_HZ)
             assert str(caught.value) == found.bearing.reason
     assert not found.bearing.judged
     assert reason in found.bearing.reason
@@ -100,7 +100,7 @@ def verdict(
     bearing: BearingJudgement,
     *trains: StrikeTrain,
     tones: tuple[Tone, ...] = (),
-    model: Model = RIG,
+    model: Model = ONE_CAP_RIG,
     rms: float = 100.0,
 ) -> Diagnosis:
     levels = {c.name: ChannelSummary(rms=rms, velocity_rms_mm_s=10.0) for c in model.channels}
@@ -129,15 +129,15 @@ def test_a_law_that_turns_with_the_shaft_modulates_the_envelope_and_stands() -> 
 def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
     assert verdict(judged("complete"), strikes(p_value=0.01)).verdict == "complete"
     assert verdict(judged("complete"), strikes("other", 2.7)).verdict == "complete", "no order of the known bearing"
-    assert verdict(NOT, strikes("other", 2.7), model=replace(RIG, bearing=None)).verdict == "local_defect"
-    there = replace(RIG, effects=(EffectUse("local_defect", {"bearing1": {}}),))
+    assert verdict(NOT, strikes("other", 2.7), model=replace(ONE_CAP_RIG, bearing=None)).verdict == "local_defect"
+    there = replace(ONE_CAP_RIG, effects=(EffectUse("local_defect", {"bearing1": {}}),))
     assert verdict(judged("complete"), strikes(), model=there).verdict == "complete"
-    passes = replace(RIG, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),))
+    passes = replace(ONE_CAP_RIG, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),))
     assert verdict(judged("complete"), strikes(), model=passes).verdict == "complete", "it modulates at BPFO itself"
 
 
 def test_impacts_at_a_whole_multiple_of_the_shaft_are_no_defect_and_say_so() -> None:
-    found = verdict(NOT, strikes("other", 2.998), model=replace(RIG, bearing=None))
+    found = verdict(NOT, strikes("other", 2.998), model=replace(ONE_CAP_RIG, bearing=None))
     assert found.verdict == "unknown"
     assert any("3 times per turn" in message.text for message in found.messages)
 

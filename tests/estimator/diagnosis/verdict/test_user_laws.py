@@ -10,7 +10,7 @@ from estimator.model import CustomLaw
 
 RATE_HZ = 25600.0
 CAP = "bearing1.x"
-RIG = Model(
+ONE_CAP_RIG = Model(
     (Channel("b1x", "bearing1", "x"),),
     band=(150.0, 8000.0),
     mass={"bearing1": 0.2},
@@ -28,8 +28,8 @@ def user_law(name: str, expression: str, **parameters: tuple[float | None, str])
 
 def diagnosed(hidden: EffectUse, candidate: EffectUse) -> Diagnosis:
     """The diagnosis of two seconds of a rig with a hidden law, by a model with a candidate."""
-    y = simulate(replace(RIG, effects=(hidden,)), rate_hz=RATE_HZ, seconds=2.0, seed=1)
-    return diagnose(replace(RIG, candidates=(candidate,)), y, RATE_HZ)
+    y = simulate(replace(ONE_CAP_RIG, effects=(hidden,)), rate_hz=RATE_HZ, seconds=2.0, seed=1)
+    return diagnose(replace(ONE_CAP_RIG, candidates=(candidate,)), y, RATE_HZ)
 
 
 def test_a_candidate_of_the_right_shape_is_named() -> None:

@@ -13,7 +13,7 @@ from estimator.identification.record import RecordSurvey, survey_record
 from estimator.model.rig import Channel, Model
 
 RATE_HZ = 6400.0
-RIG = Model((Channel("b1x", "bearing1", "x"), Channel("b2x", "bearing2", "x")), band=(100.0, 2500.0))
+TWO_CAP_RIG = Model((Channel("b1x", "bearing1", "x"), Channel("b2x", "bearing2", "x")), band=(100.0, 2500.0))
 
 
 def resonance(seed: int, seconds: float = 5.0, f_hz: float = 600.0) -> Array:
@@ -31,7 +31,7 @@ def good(seconds: float = 5.0) -> Array:
     return np.column_stack([resonance(1, seconds), resonance(2, seconds)])
 
 
-def codes(y: Array, model: Model = RIG, rate_hz: float = RATE_HZ) -> dict[str, set[str]]:
+def codes(y: Array, model: Model = TWO_CAP_RIG, rate_hz: float = RATE_HZ) -> dict[str, set[str]]:
     """Channels that each code is said of; no warning of numpy on the way."""
     with np.errstate(all="raise"):
         survey = survey_record(model, y, rate_hz)
@@ -79,7 +79,7 @@ def test_fault_of_one_channel_is_named_alone(code: str) -> None:
 def test_one_bit_channel() -> None:
     y = good()
     y[:, 0] = np.where(y[:, 0] > 0.0, 1.0, -1.0)
-    survey = survey_record(RIG, y, RATE_HZ)
+    survey = survey_record(TWO_CAP_RIG, y, RATE_HZ)
     assert [f.code for f in survey.findings] == ["few_levels"]
     assert "one bit" in survey.findings[0].text
     assert survey.unusable == {"b1x"}
@@ -90,7 +90,7 @@ def test_one_bit_channel() -> None:
 def test_copy_of_another_channel(gain: float, noise: float) -> None:
     y = good()
     y[:, 1] = gain * y[:, 0] + 0.3 + noise * np.random.default_rng(0).standard_normal(len(y))
-    survey = survey_record(RIG, y, RATE_HZ)
+    survey = survey_record(TWO_CAP_RIG, y, RATE_HZ)
     assert [f.code for f in survey.findings] == ["copied_channel"]
     assert survey.unusable == {"b2x"}
     assert ("inverted" in survey.findings[0].text) == (gain < 0.0)
@@ -131,7 +131,7 @@ def test_acceleration_and_displacement_that_are_swapped() -> None:
 def test_clipping_says_share_and_range() -> None:
     y = good()
     y[:, 0] = np.clip(y[:, 0], -10.0, 10.0)
-    (finding,) = survey_record(RIG, y, RATE_HZ).findings
+    (finding,) = survey_record(TWO_CAP_RIG, y, RATE_HZ).findings
     assert "clipped at +-10 m/s^2 in 4" in finding.text
     assert "range of at least 25 m/s^2" in finding.text
     assert finding.places == ("bearing1.x",)
@@ -141,7 +141,7 @@ def test_few_clipped_peaks_do_not_spoil_the_channel() -> None:
     y = good(60.0)
     top = np.quantile(np.abs(y[:, 0]), 1.0 - 1.8e-4)
     y[:, 0] = np.clip(y[:, 0], -top, top)
-    survey = survey_record(RIG, y, RATE_HZ)
+    survey = survey_record(TWO_CAP_RIG, y, RATE_HZ)
     assert [f.code for f in survey.findings] == ["peaks_clipped"]
     assert not survey.unjudged
 
@@ -149,7 +149,7 @@ def test_few_clipped_peaks_do_not_spoil_the_channel() -> None:
 def test_frozen_stretch_has_its_times() -> None:
     y = good()
     y[6400:9600, 0] = y[6400, 0]
-    (finding,) = survey_record(RIG, y, RATE_HZ).findings
+    (finding,) = survey_record(TWO_CAP_RIG, y, RATE_HZ).findings
     assert finding.rows == ((6400, 9600),)
     assert "from 1 s to 1.5 s" in finding.text
 
@@ -165,12 +165,12 @@ def test_short_records_between_missing_rows_are_no_fault() -> None:
 def test_any_samples_are_answered(n: int, value: float) -> None:
     y = good(0.1)[:n]
     y[:, 0] = value
-    survey = survey_record(RIG, y, RATE_HZ)
+    survey = survey_record(TWO_CAP_RIG, y, RATE_HZ)
     json.dumps(survey.to_json(), allow_nan=False)
     assert "b1x" in survey.unusable
     y = good(0.1)[:n]
     y[: n // 2, 0] = value
-    json.dumps(survey_record(RIG, y, RATE_HZ).to_json(), allow_nan=False)
+    json.dumps(survey_record(TWO_CAP_RIG, y, RATE_HZ).to_json(), allow_nan=False)
 
 
 def test_summary_of_a_sine() -> None:

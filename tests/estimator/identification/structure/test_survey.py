@@ -14,7 +14,7 @@ from estimator.identification.structure import StructureSurvey, bearing_mode, su
 from estimator.model.rig import Channel, Model
 
 RATE_HZ = 6400.0
-RIG = Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 2600.0))
+CAP_RIG = Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 2600.0))
 PLACE = "bearing1.x"
 
 
@@ -30,7 +30,7 @@ def response(modes: list[tuple[float, float, float]], seconds: float, seed: int,
     return np.asarray(out[:, None])
 
 
-def surveyed(y: Array, model: Model = RIG, tones: tuple[float, ...] = ()) -> StructureSurvey:
+def surveyed(y: Array, model: Model = CAP_RIG, tones: tuple[float, ...] = ()) -> StructureSurvey:
     """The survey of a record; its JSON is valid and numpy has nothing to warn of."""
     machine = SimpleNamespace(tones=[SimpleNamespace(frequency_hz=f) for f in tones], strikes=[])
     with np.errstate(divide="raise", invalid="raise", over="raise"):
@@ -92,7 +92,7 @@ def test_several_modes_of_similar_strength_are_not_attributed() -> None:
     assert isinstance(reason, str)
     assert "3 modes of similar strength" in reason
     assert not any(m.bearing for m in survey.modes)
-    shaft = Model(RIG.channels, band=RIG.band, shaft="chain", mass={"disc": 0.5})
+    shaft = Model(CAP_RIG.channels, band=CAP_RIG.band, shaft="chain", mass={"disc": 0.5})
     assert not isinstance(bearing_mode(surveyed(y, shaft), PLACE), str)  # two caps and a disc
 
 
@@ -114,7 +114,7 @@ def test_other_kinds_of_sensor(kind: str) -> None:
     order = 1 if kind == "velocity" else 2
     y = np.fft.irfft(np.where(f > 20.0, np.fft.rfft(a) / (2j * np.pi * np.maximum(f, 1.0)) ** order, 0.0), a.size)
     y += 1e-3 * y.std() * np.random.default_rng(0).standard_normal(y.size)
-    mode = bearing_mode(surveyed(y[:, None], Model((Channel("b1x", "bearing1", "x", kind),), band=RIG.band)), PLACE)
+    mode = bearing_mode(surveyed(y[:, None], Model((Channel("b1x", "bearing1", "x", kind),), band=CAP_RIG.band)), PLACE)
     assert not isinstance(mode, str)
     assert mode.frequency_hz == pytest.approx(600.0, abs=4 * mode.frequency_sd)
 
@@ -134,5 +134,5 @@ def test_any_record_is_answered(n: int, value: float) -> None:
     survey = surveyed(np.full((n, 1), value))
     assert not survey.modes
     assert "too short" in str(bearing_mode(survey, PLACE))
-    unusable = survey_structure(RIG, np.full((n, 1), value), RATE_HZ, RecordSurvey(unusable=frozenset({"b1x"})))
+    unusable = survey_structure(CAP_RIG, np.full((n, 1), value), RATE_HZ, RecordSurvey(unusable=frozenset({"b1x"})))
     assert "unusable" in str(bearing_mode(unusable, PLACE))
