@@ -45,10 +45,6 @@ class StatedRate:
         self.info, self._held, self._marks, self._begun_ns = info, [], [], t_host_ns
         return None
 
-    @property
-    def waits(self) -> bool:
-        return self.info is not None
-
     def admit(self, frames: SampleFrames, t_host_ns: int) -> tuple[Info | None, list[SampleFrames]]:
         """What to announce, if it is decided now, and the frames that may be used."""
         if self.info is None:

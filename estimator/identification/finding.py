@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimator.effects import found_by
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import EffectUse, Setting
 from estimator.results import Parameter
 
@@ -89,7 +90,7 @@ def disturbance_forces(findings: Sequence[Finding]) -> list[DisturbanceForce]:
     out: list[DisturbanceForce] = []
     spectral: dict[int, tuple[float, DisturbanceForce]] = {}
     for f in findings:
-        if f.p_value > MAX_P_VALUE or found_by(f.effect) == "harmonics":
+        if f.p_value > MAX_P_VALUE or f.effect in PERIODIC_EFFECTS:
             continue
         for place, power_N2 in f.power_N2.items():
             force = DisturbanceForce(place=place, against=f.against, region=f.region, power_N2=power_N2)

@@ -10,12 +10,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import CATALOGUE, LINE_NAMES, NAMED, found_by
+from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
 from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import Effect
@@ -251,12 +252,11 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
     places = tuple(sorted({i for s in own for i in s.power_N2}))
     was = before.interval(places)[0]
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
-    part = sum(p for s in own for p in s.power_N2.values())
-    apart = found_by(own[0].effect) == "harmonics"  # its lines are left out of the missing force
-    before_percent, after_percent = (
-        (was**2 + 1e4 * part / scale) ** 0.5 if apart else was,
-        was if apart else max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
-    )
+    part_percent2 = 1e4 * sum(p for s in own for p in s.power_N2.values()) / scale
+    if own[0].effect in PERIODIC_EFFECTS:  # its lines are left out of the missing force
+        before_percent, after_percent = (was**2 + part_percent2) ** 0.5, was
+    else:
+        before_percent, after_percent = was, max(was**2 - part_percent2, 0.0) ** 0.5
     settings = _layers(model, own)
     return Entry(
         effect=own[0].effect,

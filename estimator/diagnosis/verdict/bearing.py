@@ -13,12 +13,12 @@ from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import found_by
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit, is_disturbance
 from estimator.identification.residual import missing_force
 from estimator.identification.structure import spectral_shape
 from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, messages_json
@@ -137,7 +137,7 @@ def judge_bearing(
         found = rank_on_part(model, survey, say)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
-    tones = [e for e in entries if is_tone(e)]
+    tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
     named = [e for e in entries if e.passed]
     if not (named and named[0].placed) and RIG_FILE not in refused:
@@ -158,14 +158,14 @@ def judge_bearing(
     )  # fmt: skip
 
 
-def is_tone(entry: Entry) -> bool:
+def _is_tone(entry: Entry) -> bool:
     """Whether a candidate is a periodic force, whose lines are left out of the force balance."""
-    return found_by(entry.effect) == "harmonics"
+    return entry.effect in PERIODIC_EFFECTS
 
 
 def _adequate(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
     """The judgement of an adequate model: complete, but for a periodic force that passes the gates."""
-    tones = _judged_entries([e for e in entries if is_tone(e) and e.effect not in refused], context)
+    tones = _judged_entries([e for e in entries if _is_tone(e) and e.effect not in refused], context)
     named = [e for e in tones if e.passed]
     rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]
     if named:

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
-from estimator.identification.record import RecordSurvey, clipping_level, level_parameter, pileup_p_value
+from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
 from estimator.model.rig import Model
 from estimator.results import Message
 
@@ -31,7 +31,7 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
         What the record layer says of them.
     """
     known = {at for use in model.effects if use.name == SENSOR_CLIPPING.name for at in use.parameters}
-    texts = {f.channels[0]: f for f in survey.findings if f.code == "clipped"}
+    texts = {f.channels[0]: f for f in survey.findings if f.code == CLIPPED_CODE}
     new = [
         (channel, clipping_level(y[:, k]))
         for k, channel in enumerate(model.channels)

@@ -20,7 +20,7 @@ from estimator.identification.machine import MachineSurvey
 from estimator.identification.record import RecordSurvey, record_messages
 from estimator.identification.structure import StructureSurvey
 from estimator.model.rig import Model
-from estimator.results import NOT_JUDGED, RIG_FILE, Message, messages_json
+from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
@@ -68,19 +68,15 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The result of diagnose, by its schema."""
-        out: dict[str, Any] = {
-            "schema": 1,
-            "verdict": self.verdict,
-            "ranking": [entry.to_json() for entry in self.ranking],
-            "separates": self.separates,
-            "bearing": {"judged": self.bearing.judged, "reason": self.bearing.reason},
-        } | messages_json(self.messages)
-        out |= {
+        found = replace(
+            self.bearing, verdict=self.verdict, ranking=self.ranking, shape=self.shape, separates=self.separates,
+            messages=self.messages,
+        )  # fmt: skip
+        return found.to_json() | {
             "record": self.record.to_json(),
             "machine": self.machine.to_json(),
             "structure": self.structure.to_json(),
         }
-        return out if self.shape is None else out | {"shape": self.shape.to_json()}
 
 
 def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | None = None) -> Diagnosis:

@@ -18,7 +18,7 @@ from .law_loop import force_array
 
 RMS_STATE_COUNT = 4096  # Gaussian states that the rms of a law is taken over
 
-WEAK_SHARE, STRONG_SHARE = 0.02, 0.06  # of the rms bearing force, of a hidden effect
+WEAK_SHARE = 0.02  # of the rms bearing force, of a hidden effect
 WEAK_MAX_SHARE = 0.03  # a wanted fraction up to this is a weak case
 
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-import numpy as np
-
 from estimator.arrays import Array
 from estimator.likelihood.motion.harmonics import has_unknown_line, known_lines
 from estimator.model.rig import MOTION_UNITS, LineBand, Model
 
-from .pieces import Pieces
-from .spectra import HANN_BIN_CORRELATION, level_spectra
+from .spectra import HANN_BIN_CORRELATION, channel_spectra
 from .tones import Line, significant_lines
 
 REACH_HALF_WIDTHS = 3.0  # of the resolution that holds most of a line: a wandering line has skirts beyond it
@@ -30,10 +27,9 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     if any(c.kind == "force" for c in model.channels) or has_unknown_line(model):
         return model
     columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
-    pieces = {name: Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz) for name, i in columns.items()}
-    spectra = {name: level_spectra(own) for name, own in pieces.items() if len(own)}
     own = known_lines(model)
-    bands = (b for b in line_bands(significant_lines(spectra)) if not any(b.low_hz <= hz <= b.high_hz for hz in own))
+    found = line_bands(significant_lines(channel_spectra(y, rate_hz, columns)))
+    bands = (b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
     return replace(model, line_bands=tuple(bands))
 
 

@@ -7,6 +7,7 @@ noise is exponentially distributed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,19 @@ def level_spectra(pieces: Pieces) -> list[LevelSpectrum]:
         sizes.append(size)
         size //= COARSER_BY
     return [_level(pieces, size) for size in sizes if len(pieces)]
+
+
+def channel_spectra(y: Array, rate_hz: float, columns: Mapping[str, int]) -> dict[str, list[LevelSpectrum]]:
+    """Channel -> its spectra; a channel without a run of samples that is long enough is absent.
+
+    y : (n, channels), SI. columns : channel -> its column.
+    """
+    out = {}
+    for name, i in columns.items():
+        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
+        if len(pieces):
+            out[name] = level_spectra(pieces)
+    return out
 
 
 def _level(pieces: Pieces, size: int) -> LevelSpectrum:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from estimator.arrays import Array
@@ -12,8 +10,7 @@ from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message
 
 from .machine_survey import MachineSurvey, StrikeTrain, Tone
-from .pieces import Pieces
-from .spectra import LevelSpectrum, level_spectra
+from .spectra import channel_spectra
 from .speed import rate_contradiction, shaft_speed
 from .strikes import find_strikes
 from .tones import significant_lines, tones_of, without_strike_lines
@@ -46,7 +43,11 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
         Empty where no channel has a gap-free run of 256 samples.
     """
     columns = _columns(model, record.unusable if record is not None else frozenset())
-    spectra, missing = _spectra(y, rate_hz, columns)
+    spectra = channel_spectra(y, rate_hz, columns)
+    missing = [
+        Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name)
+        for name in columns if name not in spectra
+    ]  # fmt: skip
     rms = {name: float(np.nanstd(y[:, columns[name]])) for name in spectra}
     units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
@@ -79,7 +80,7 @@ def strikes_of_block(model: Model, block: Array, rate_hz: float) -> tuple[Strike
         Empty where no channel has a train, or the speed of the shaft is unknown.
     """
     columns = _columns(model, frozenset())
-    spectra, _ = _spectra(block, rate_hz, columns)
+    spectra = channel_spectra(block, rate_hz, columns)
     speed = shaft_speed(model, block, rate_hz, spectra)[0] if spectra else None
     there = {name: columns[name] for name in spectra}
     return tuple(find_strikes(model, block, rate_hz, there, speed, LIVE_BANDS_PER_RATE)[0])
@@ -88,20 +89,6 @@ def strikes_of_block(model: Model, block: Array, rate_hz: float) -> tuple[Strike
 def _columns(model: Model, skipped: frozenset[str]) -> dict[str, int]:
     """Channel -> its column, of all channels but tachos and those to be skipped."""
     return {c.name: i for i, c in enumerate(model.channels) if c.kind != "tacho" and c.name not in skipped}
-
-
-def _spectra(
-    y: Array, rate_hz: float, columns: Mapping[str, int]
-) -> tuple[dict[str, list[LevelSpectrum]], list[Message]]:
-    """Channel -> its spectra, and remarks on the channels that have none."""
-    out, missing = {}, []
-    for name, i in columns.items():
-        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
-        if len(pieces):
-            out[name] = level_spectra(pieces)
-        else:
-            missing.append(Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name))
-    return out, missing
 
 
 def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:

@@ -1,12 +1,13 @@
 """Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
 from .clipping import clipping_level, pileup_p_value
-from .findings import ChannelSummary, RecordFinding, RecordSurvey
+from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
 from .spikes import spike_rows
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
 
 __all__ = [
+    "CLIPPED_CODE",
     "ChannelSummary",
     "RecordFinding",
     "RecordSurvey",

@@ -14,7 +14,7 @@ from estimator.model.rig import MOTION_UNITS, Channel
 
 from .channel_summary import power_spectrum, stretches, velocity_rms
 from .clipping import clipping_level
-from .findings import SPIKES_CODE, RecordFinding
+from .findings import CLIPPED_CODE, SPIKES_CODE, RecordFinding
 from .spikes import GAUSSIAN_MAD, spike_rows
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
@@ -203,7 +203,7 @@ def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
         return
     advice = _range_to_take(record, level, share)
     yield record.finding(
-        "clipped", f"{text}: no value is reliable; {advice}", usable=share <= limits.max_clipped_share, judged=False
+        CLIPPED_CODE, f"{text}: no value is reliable; {advice}", usable=share <= limits.max_clipped_share, judged=False
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+CLIPPED_CODE = "clipped"
 SPIKES_CODE = "spikes"  # its rows are left out of everything
 
 

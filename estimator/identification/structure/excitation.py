@@ -45,8 +45,6 @@ class CellSpectrum:
         PSD of white noise of the sensor as acceleration, of mean 1.
     bin_hz : float
         Distance of the bins behind the cells, Hz.
-    line_hz : tuple of float
-        Frequencies of the tones that were left out.
     """
 
     f_hz: Array
@@ -55,7 +53,6 @@ class CellSpectrum:
     shape: Array
     noise: Array
     bin_hz: float
-    line_hz: tuple[float, ...]
 
 
 def cell_spectrum(
@@ -116,7 +113,6 @@ def cell_spectrum(
         shape=bins * len(pieces) * TAPER_EFFICIENCY,
         noise=scale / scale.mean(),
         bin_hz=1.0 / pieces.seconds,
-        line_hz=_line_frequencies(f, power, line & inside),
     )
 
 
@@ -124,13 +120,6 @@ def _first_of_cells(ratio: Array) -> NDArray[np.intp]:
     """(cells,) index of the first bin of each cell. ratio : frequency of each bin over the lower edge of the band."""
     cell = np.floor(np.log(ratio) / CELL_WIDTH_REL).astype(np.intp)
     return np.flatnonzero(np.append(True, np.diff(cell) > 0))
-
-
-def _line_frequencies(f: Array, power: Array, line: NDArray[np.bool_]) -> tuple[float, ...]:
-    """Frequency of the strongest bin of each run of bins that were left out."""
-    rows = np.flatnonzero(line)
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
-    return tuple(float(f[run[np.argmax(power[run])]]) for run in runs)
 
 
 def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:

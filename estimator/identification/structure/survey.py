@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.identification.machine import MachineSurvey
 from estimator.identification.record import RecordSurvey
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.parallel import map_threads
@@ -22,23 +23,6 @@ MIN_ENERGY_SHARE = 0.5  # of the kinetic energy in the band, that the rig's own 
 MAX_MISFIT_DB = 1.0  # rms of the spectrum from that of the oscillators: instruments have +-10 % (ISO 2954)
 SAME_MODE_RATIO = 2.0**0.5  # of frequencies: the two directions of a cap differ by less, so do parts of a nonlinear one
 STABLE_FREQUENCY_REL, STABLE_DAMPING_REL = 0.01, 0.2  # from one number of modes to the next
-
-
-class ToneSurveyed(Protocol):
-    """What the structure layer asks of a tone."""
-
-    @property
-    def frequency_hz(self) -> float: ...
-
-
-class MachineSurveyed(Protocol):
-    """What the structure layer asks of the machine layer: tones, and strike trains by the strikes per second."""
-
-    @property
-    def tones(self) -> Sequence[ToneSurveyed]: ...
-
-    @property
-    def strikes(self) -> Sequence[ToneSurveyed]: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,7 +183,7 @@ class StructureSurvey:
 
 
 def survey_structure(
-    model: Model, y: Array, rate_hz: float, record: RecordSurvey, machine: MachineSurveyed | None = None
+    model: Model, y: Array, rate_hz: float, record: RecordSurvey, machine: MachineSurvey | None = None
 ) -> StructureSurvey:
     """Modes in the band of each place, with the spectrum of what excites them.
 

@@ -1,9 +1,10 @@
 """Leakage of narrow lines between blocks, projected out of the block spectra.
 
 A disc rings for seconds on its shaft, a tone for ever, and a block lasts a third of a second. The part of the residual
-force that goes with them ends at both ends of every block. That spreads it over all bins with one shape, 1 / (f - f0)
-and its powers, as it decays or wanders. The shapes are projected out of every series alike, and the lost share of
-each bin is counted.
+force that goes with them ends at both ends of every block. That spreads it over all bins. The Fourier sum over a block
+of a sampled line of constant amplitude at f0 has the shape 1 + i cot(pi (f - f0) / rate), and that of its conjugate the
+shape at -f0. Higher powers of the cotangent come in where the line grows, decays or wanders. The shapes are projected
+out of every series alike, and the lost share of each bin is counted.
 """
 
 from __future__ import annotations
