@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .base.contract.errors import ConfigError, LogError
+    from .base.contract.part import Part
     from .log.reader import Recording, read_log
     from .rig.rig import Rig, load_rig
     from .session.acquire import RunSummary
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ConfigError",
     "LogError",
+    "Part",
     "Recording",
     "Rig",
     "RunSummary",
@@ -34,6 +36,7 @@ __all__ = [
 _ROOM_OF = {  # public name -> the module that defines it
     "ConfigError": "base.contract.errors",
     "LogError": "base.contract.errors",
+    "Part": "base.contract.part",
     "Recording": "log.reader",
     "Rig": "rig.rig",
     "RunSummary": "session.acquire",

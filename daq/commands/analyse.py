@@ -22,9 +22,10 @@ from daq.base.console.memory import keep_freed
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import number, parameters_table
 from daq.base.contract.errors import ConfigError, LogError
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement, measure
 from daq.report.words import message_text
-from daq.rig.edit import with_effect, with_values
+from daq.rig.edit import of_channels, with_effect, with_values
 from daq.rig.rig import Rig, load_rig
 
 MIN_MISSING_SHARE = 1e-4  # of the samples missing: it may be that which leaves too few stretches
@@ -33,14 +34,17 @@ Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
-def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | None) -> None:
+def fit(
+    output: Output, log: Path, rig_path: Path, method: Method, out: Path | None, part: Part = WHOLE_RECORD
+) -> None:
     if out is not None:
         spare(out)
-    rig, data = given(output, log, rig_path)
+    rig, data = given(output, log, rig_path, part=part)
     with output.progress(f"fitting ({method})"), about(log, data):
         result = fitted(rig, data, method)
     if out is not None:
-        write_whole(out, with_values(with_lines(rig, result.parameters), result.parameters))
+        whole = load_rig(rig_path)  # with the channels that were left out, too
+        write_whole(out, with_values(with_lines(whole, result.parameters), result.parameters))
     people: list[Any] = [parameters_table(result.parameters), ""]
     people += [value.sentence(name) for name, value in shared(result.parameters).items()]
     people += [f"note: {message.text}" for message in result.messages]
@@ -60,21 +64,26 @@ def with_lines(rig: Rig, parameters: Mapping[str, Parameter]) -> Rig:
     return rig
 
 
-def given(output: Output, log: Path, rig_path: Path, needed: Sequence[str] = ()) -> tuple[Rig, Measurement]:
-    """Model and measurement of a command, checked. needed : modules to load while the log is read; to be
-    imported after it."""
+def given(
+    output: Output, log: Path, rig_path: Path, needed: Sequence[str] = (), part: Part = WHOLE_RECORD
+) -> tuple[Rig, Measurement]:
+    """Model and measurement of a command, checked; the model has the channels of `part` only.
+
+    needed : modules to load while the log is read; to be imported after it.
+    """
     from .check import check_laws
 
     keep_freed()
-    rig = load_rig(rig_path)
+    rig = of_channels(load_rig(rig_path), part.channels)
     check_laws(rig, rig_path)
     loaded(needed)
-    return rig, measure(log, rig, output.note)
+    return rig, measure(log, rig, output.note, part)
 
 
 def origin(log: Path, rig_path: Path, rig: Rig, data: Measurement) -> dict[str, Any]:
-    """Keys of every result of a record: what was analysed."""
-    return {
+    """Keys of every result of a record: what was analysed. from_s : where it begins in the record of the log."""
+    part = {} if data.from_s is None else {"from_s": data.from_s, "seconds": len(data.y) / data.rate_hz}
+    return part | {
         "log": str(log),
         "started": None if data.started is None else data.started.isoformat(),
         "rig": str(rig_path),
@@ -107,9 +116,11 @@ def _likelihood(result: Fit) -> str:
     return "" if result.log_likelihood is None else f", log-likelihood {result.log_likelihood:.6g}"
 
 
-def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
+def compare(
+    output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None, part: Part = WHOLE_RECORD
+) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.comparison", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.comparison", *IN_USE), part)
     with about(log, data):
         value = compared(output, rig, data)
     pages.write(rig, data, comparison=value)

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import ladder_table, number
 from daq.base.contract.errors import ConfigError
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement
 from daq.report.layers import lines as layer_lines
 from daq.report.signal_spectra import signal_spectra
 from daq.report.words import is_of_the_model, message_text
-from daq.rig.edit import with_effect, with_values
-from daq.rig.rig import Rig
+from daq.rig.edit import of_channels, with_effect, with_values
+from daq.rig.rig import Rig, load_rig
 
 from .analyse import IN_USE, Pages, about, compared, given, origin, step
 
@@ -38,9 +39,11 @@ BELOW_DETECTION = (
 )
 
 
-def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
+def diagnose(
+    output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None, part: Part = WHOLE_RECORD
+) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE), part)
     from estimator.diagnosis.verdict import diagnose as diagnose_model
 
     with output.progress("diagnosing") as progress, about(log, data):
@@ -158,16 +161,20 @@ def _p(value: float) -> str:
     return "< 1e-20" if value < 1e-20 else f"{value:.2g}"
 
 
-def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
+def improve(
+    output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None,
+    part: Part = WHOLE_RECORD,
+) -> None:  # fmt: skip
     pages = Pages(html, rerun)
     spare(out)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improvement", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improvement", *IN_USE), part)
     from estimator.diagnosis.verdict import improve as improve_model
 
     with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
     value = ladder.to_json()
-    text, better = improved(rig, ladder)
+    text, whole = improved(load_rig(rig_path), ladder)  # with the channels that were left out, too
+    better = of_channels(whole, part.channels)
     write_whole(out, text)
     if pages:
         before = compared(output, rig, data)

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.errors import LogError
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.rig.conversion import Conversion, conversion
 from daq.rig.problems import did_you_mean
 from daq.rig.rig import Rig
 from daq.rig.rig_file import ChannelTable
 from daq.rig.units import canonical
 
-from .columns import Columns
+from .columns import Columns, in_part
 from .formats import RATE_TOLERANCE, read
 
 MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
@@ -33,7 +34,7 @@ class Record:
     """Checked columns in the rig's order, as the file holds them; SI = value * factors[channel] + offsets[channel].
 
     missing : rows that are not there, if the caller allows gaps. started_ns : Unix time of the first row, ns.
-    breaks : (row, samples that are missing before it) where another file begins.
+    breaks : (row, samples that are missing before it) where another file begins. from_s : of a part, where it begins.
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class Record:
     offsets: tuple[float, ...] = ()
     started_ns: int | None = None
     breaks: tuple[tuple[int, int], ...] = ()
+    from_s: float | None = None
 
     @property
     def lost(self) -> int:
@@ -62,10 +64,20 @@ class Record:
         return np.insert(y, [row for row, _ in self.breaks], np.nan, axis=0) if self.breaks else y
 
 
-def load(path: Path, rig: Rig, rate_hz: float | None, note: Callable[[str], None], gaps: bool = False) -> Record:
-    """Read a file and check it, see `checked`. Names of the channels in files of others are those of the rig file."""
+def load(
+    path: Path, rig: Rig, rate_hz: float | None, note: Callable[[str], None], gaps: bool = False,
+    part: Part = WHOLE_RECORD,
+) -> Record:  # fmt: skip
+    """Read a file and check it, see `checked`; or a part of it in time: nothing outside is checked.
+
+    Names of the channels in files of others are those of the rig file.
+    """
     aliases = {c.name: c.alias for c in rig.file.channel if c.alias}
-    return checked(path, read(path, [c.name for c in rig.model.channels], aliases), rig, rate_hz, note, gaps)
+    columns = read(path, [c.name for c in rig.model.channels], aliases)
+    if not part.of_time:
+        return checked(path, columns, rig, rate_hz, note, gaps)
+    columns, from_s = in_part(path, columns, [c.name for c in rig.model.channels], rate_hz, part)
+    return replace(checked(path, columns, rig, rate_hz, note, gaps), from_s=from_s)
 
 
 def checked(

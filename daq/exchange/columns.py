@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.base.contract.errors import ConfigError
+from daq.base.contract.part import ROW_ROUNDING, Part, beyond
 
 Column = NDArray[Any]
 TITLE_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*(?:\([^)]*\))?[^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
@@ -140,3 +144,38 @@ def stated_rate(values: Iterable[tuple[str, Any]]) -> list[tuple[str, float]]:
         elif word in STEP_NAMES and number > 0:
             out.append((name, 1.0 / number))
     return out
+
+
+def in_part(
+    path: Path, columns: Columns, names: Sequence[str], rate_hz: float | None, part: Part
+) -> tuple[Columns, float | None]:  # fmt: skip
+    """The rows of a part of a file, by its time or else by its rate, and where they begin, s.
+
+    What is no record of one length with a time or a rate comes back whole, to be refused. rate_hz : if the file says
+    none. Raises ConfigError if the part is empty.
+    """
+    values = [np.squeeze(np.asarray(columns.values[name])) for name in names if name in columns.values]
+    lengths = {v.shape for v in values}
+    if len(values) < len(names) or len(lengths) != 1 or len(values[0].shape) != 1 or not len(values[0]):
+        return columns, None
+    count, time = len(values[0]), None if columns.time is None else np.squeeze(np.asarray(columns.time))
+    rate = columns.rate_hz or rate_hz
+    if time is not None and time.shape == (count,) and time.dtype.kind in "iuf":
+        passed = time.astype(np.float64) - float(time[0])
+    elif rate is not None and np.isfinite(rate) and rate > 0:
+        passed = np.arange(count) / rate
+    else:
+        return columns, None
+    start, stop = part.span(path, columns.started_ns)
+    margin = ROW_ROUNDING * float(np.nanmedian(np.diff(passed))) if count > 1 else 0.0
+    rows = np.flatnonzero((passed >= start - margin) & (passed < stop - margin))
+    if not rows.size and passed[-1] < start:
+        raise beyond(path, float(passed[-1]) + margin / ROW_ROUNDING)
+    if not rows.size:
+        raise ConfigError(f"{path}: no sample lies from {start:.9g} s to {stop:.9g} s")
+    here = slice(int(rows[0]), int(rows[-1]) + 1)
+    chosen = {name: np.squeeze(np.asarray(columns.values[name]))[here] for name in names}
+    started_ns = None if columns.started_ns is None else columns.started_ns + round(passed[here.start] * 1e9)
+    time = None if columns.time is None else time[here] if time is not None and time.shape == (count,) else time
+    cut = replace(columns, values={**columns.values, **chosen}, time=time, started_ns=started_ns)
+    return cut, float(passed[here.start])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.rig.rig import Rig
 
 
@@ -21,37 +22,41 @@ class Measurement:
     rate_hz : sampling rate, Hz.
     facts : heading -> text, for the head of a report.
     started : time of the first row, UTC; None where the file does not state it.
+    from_s : of a part, where it begins in the record; None of a whole record.
     """
 
     y: NDArray[np.float64]
     rate_hz: float
     facts: dict[str, str]
     started: datetime | None = None
+    from_s: float | None = None
 
 
-def measure(path: Path, rig: Rig, note: Callable[[str], None]) -> Measurement:
-    """The record of the rig's channels in a log, or in any file that `rotorscope import` reads.
+def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOLE_RECORD) -> Measurement:
+    """The record of the rig's channels in a log, or in any file that `rotorscope import` reads; a part of it in time.
 
     note : called with one line for everything that is left out or differs from the rig file.
-    Raises LogError: a channel is missing, the file cannot be read, or the band does not fit the rate.
+    Raises LogError: a channel is missing, the file cannot be read, or the band does not fit the rate; ConfigError:
+    nothing lies in the part.
     """
     if path.suffix.lower() == ".mcap" or not path.is_file():
         from daq.log.reader import read_log
 
-        log = read_log(path)
-        return _measured(path, log.samples(rig, note), log.rate_hz, log.started)
-    from .checks import load
+        log = read_log(path, part=replace(part, channels=()))
+        y, started, rate_hz, from_s = log.samples(rig, note), log.started, log.rate_hz, log.from_s
+    else:
+        from .checks import load
 
-    record = load(path, rig, None, note)
-    started = None if record.started_ns is None else datetime.fromtimestamp(record.started_ns // 1000 / 1e6, UTC)
-    return _measured(path, record.si(), record.rate_hz, started)
-
-
-def _measured(path: Path, y: NDArray[np.float64], rate_hz: float, started: datetime | None = None) -> Measurement:
+        record = load(path, rig, None, note, part=part)
+        started = None if record.started_ns is None else datetime.fromtimestamp(record.started_ns // 1000 / 1e6, UTC)
+        y, rate_hz, from_s = record.si(), record.rate_hz, record.from_s
     facts = {"log": path.name, "record": f"{len(y) / rate_hz:.4g} s at {rate_hz:g} Hz"}
+    if from_s is not None:
+        facts["record"] += f", from {from_s:.6g} s on"
+        note(f"{path}: {len(y) / rate_hz:.6g} s from {from_s:.6g} s on are read; times that are said count from there")
     if started is not None:
         facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
-    return Measurement(y, rate_hz, facts, started)
+    return Measurement(y, rate_hz, facts, started, from_s)
 
 
 def findings(y: NDArray[np.float64], rate_hz: float, rig: Rig, most_values: int) -> list[tuple[str, str]]:

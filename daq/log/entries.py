@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
+from daq.base.contract.dates import LATEST_NS, UNKNOWN_START
 from daq.base.contract.errors import LogError
-from daq.base.contract.sink import Status
+from daq.base.contract.scaling import now_at
+from daq.base.contract.sink import ClockState, Status
 from drivers.contract import Gap, Info, Notice
 from estimator.results import Estimate
 
@@ -41,14 +43,16 @@ class LoggedEstimate:
 Entry = Head | Info | RawBlock | Gap | Notice | LoggedEstimate | Status
 
 
-def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[tuple[Entry | None, Message | None]]:
+def walk(
+    path: Path, findings: Findings, everything: bool = False, at: int = 0
+) -> Iterator[tuple[Entry | None, Message | None]]:  # fmt: skip
     """All in order, with the message it came from; unexplained jumps of the index become gaps (message None).
 
-    Head and Info come when they are new. Blocks never overlap and never go back. Preview and repetitions are left out,
-    or with `everything` come as (None, message).
+    at : the byte to begin at: 0, or where a chunk begins. Head and Info come when they are new. Blocks never overlap
+    and never go back. Preview and repetitions are left out, or with `everything` come as (None, message).
     """
     decoder = _Decoder()
-    for messages in scan(path, findings):
+    for messages in scan(path, findings, at):
         _check_topics(path, findings)
         for message in messages:
             try:
@@ -135,3 +139,85 @@ class _Decoder:
             return False
         self._next = entry.stop if isinstance(entry, RawBlock) else entry.index + entry.count
         return True
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """Samples of a description that is not that of the log: rate, channels or unit."""
+
+    index: int
+    what: str
+    samples: int
+
+    def __str__(self) -> str:
+        return f"from sample {self.index} on the device has {self.what}: {self.samples} samples"
+
+
+class Said:
+    """What the entries of a log say, taken one after the other."""
+
+    def __init__(self) -> None:
+        self.head = Head()
+        self.info: Info | None = None
+        self.status: Status | None = None
+        self.first: int | None = None
+        self.stop = self.lost = 0
+        self.gaps: list[Gap] = []
+        self.notices: list[Notice] = []
+        self.estimates: list[LoggedEstimate] = []
+        self.clocks: list[tuple[int, ClockState]] = []
+        self.others: list[Other] = []
+        self._first_ns = 0  # host time of the first sample
+        self._deviation = ""  # of the description in force from the first one
+
+    @property
+    def events(self) -> int:
+        events = len(self.gaps) + len(self.notices) + len(self.estimates)
+        return events + len(self.clocks) + len(self.others)
+
+    @property
+    def started_ns(self) -> int | None:
+        """Unix time of the first sample, if it is known: before there was a word for it, imports were stamped wrong."""
+        about = self.head.metadata
+        recorded = about.get("command") == "import" or about.get("link_kind") == "capture"
+        if not self._first_ns or about.get("started") == UNKNOWN_START or (recorded and "imported" not in about):
+            return None
+        started_ns = self._first_ns + self.head.wall_offset_ns
+        return started_ns if 0 <= started_ns < LATEST_NS else None  # of a hostile file
+
+    def take(self, entry: Entry) -> None:
+        """The next entry of the log."""
+        match entry:
+            case RawBlock():
+                self.first = entry.index if self.first is None else self.first
+                if not self._first_ns and self.info is not None:
+                    rows = entry.index - self.first + entry.part_rows[0] - 1  # the part came with its last row
+                    self._first_ns = entry.part_host_ns[0] - round(1e9 * rows / self.info.rate_hz)
+                self.stop = entry.stop
+                if self._deviation:
+                    self._count_other(entry)
+            case Gap():
+                self.gaps.append(entry)
+                if entry.count:
+                    self.first = entry.index if self.first is None else self.first
+                    self.lost += entry.count
+                    self.stop = entry.index + entry.count
+            case Info():
+                self.info = self.info or entry
+                there = now_at(self.info, entry)
+                self._deviation = there if isinstance(there, str) else ""
+            case Notice():
+                self.notices.append(entry)
+            case LoggedEstimate():
+                self.estimates.append(entry)
+            case Status():
+                self.status = entry
+                if entry.clock is not None:
+                    self.clocks.append((entry.index, entry.clock))
+            case Head():
+                self.head = entry
+
+    def _count_other(self, block: RawBlock) -> None:
+        same = bool(self.others) and self.others[-1].what == self._deviation
+        begun = self.others.pop() if same else Other(block.index, self._deviation, 0)
+        self.others.append(replace(begun, samples=begun.samples + len(block.counts)))

@@ -12,34 +12,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.contract.dates import LATEST_NS, UNKNOWN_START
 from daq.base.contract.errors import LogError
+from daq.base.contract.part import WHOLE_RECORD, Part, beyond
 from daq.base.contract.scaling import Scaling, now_at
 from daq.base.contract.sink import ClockState, Status
 from drivers.contract import Gap, Info, Notice, Reading
 
 from .codec import RawBlock
-from .entries import Entry, Head, LoggedEstimate, walk
+from .entries import Entry, Head, LoggedEstimate, Other, Said, walk
+from .part import Span, beginning, inside, span
 from .place import being_written
-from .scan import Findings
+from .scan import Findings, ends_closed
 
 if TYPE_CHECKING:
     from daq.rig.rig import Rig
 
 MOST_EVENTS = 2_000_000  # gaps, notices, estimates, damage: a few kB of a hostile file can unpack to any number
 LARGEST_SAMPLES = 64 << 30  # bytes of samples() or counts() that we are willing to allocate
-
-
-@dataclass(frozen=True, slots=True)
-class Other:
-    """Samples of a description that is not that of the log: rate, channels or unit."""
-
-    index: int
-    what: str
-    samples: int
-
-    def __str__(self) -> str:
-        return f"from sample {self.index} on the device has {self.what}: {self.samples} samples"
 
 
 @dataclass(frozen=True)
@@ -61,6 +50,8 @@ class Recording:
     growing : another process is writing the log; it was read up to `stop`.
     others : samples under a later description of the device that is no continuation of `info` (another rate, channels
         or unit); `counts` and `samples` leave them out like a gap.
+    device_info : `info` with all channels of the device.
+    span : the part of the log that was read; None: all of it. Everything else is of that part alone.
     """
 
     path: Path
@@ -78,6 +69,8 @@ class Recording:
     growing: bool = False
     others: tuple[Other, ...] = ()
     started_ns: int | None = None
+    device_info: Info = field(kw_only=True, repr=False)
+    span: Span | None = field(default=None, kw_only=True)
 
     @property
     def started(self) -> datetime | None:
@@ -93,6 +86,11 @@ class Recording:
     def channels(self) -> tuple[str, ...]:
         """Names of the logged channels, in the order of the columns of `samples()`."""
         return tuple(s.name for s in self.info.signals)
+
+    @property
+    def from_s(self) -> float | None:
+        """Where a part begins, s of device time from the first sample of the log; None if it is the whole log."""
+        return None if self.span is None else (self.first - self.span.origin) / self.rate_hz
 
     @property
     def n_samples(self) -> int:
@@ -148,7 +146,7 @@ class Recording:
         out = np.empty((self.stop - self.first, len(self.channels)), dtype=np.int32)
         out[:] = np.iinfo(np.int32).min
         for block, info in self._blocks():
-            columns, start = now_at(self.info, info), block.index - self.first
+            columns, start = self._columns(info), block.index - self.first
             if not isinstance(columns, str):
                 out[start : start + len(block.counts)] = block.counts[:, columns]
         return out
@@ -192,7 +190,7 @@ class Recording:
         at, hits, scaling, of = 0, np.zeros(len(columns), np.int64), None, None
         for block, info in self._blocks():
             if info is not of:
-                there, of = now_at(self.info, info), info
+                there, of = self._columns(info), info
                 scaling = None if isinstance(there, str) else Scaling(info, [there[k] for k in columns])
             if scaling is None:
                 continue
@@ -211,25 +209,44 @@ class Recording:
 
         joined : blocks as the log holds them, several of the link in one; False: as they came.
         """
-        for entry, _ in walk(self.path, self.again()):
-            if isinstance(entry, RawBlock) and joined:
-                yield entry.joined()
+        columns: list[int] = []  # of a block that are chosen; [] for all
+        for entry in self._entries():
+            if isinstance(entry, Info):
+                there = [] if self.info is self.device_info else self._columns(entry)
+                columns = [] if isinstance(there, str) else there
+                yield replace(entry, signals=tuple(entry.signals[k] for k in columns)) if columns else entry
             elif isinstance(entry, RawBlock):
-                yield from entry.parts()
-            elif isinstance(entry, Info | Gap | Notice):
+                if columns:
+                    entry = replace(entry, counts=entry.counts[:, columns])
+                if joined:
+                    yield entry.joined()
+                else:
+                    yield from entry.parts()
+            elif isinstance(entry, Gap | Notice):
                 yield entry
 
     def again(self) -> Findings:
         """For another pass over what the first one saw: a log may be growing."""
-        return Findings(size=self.findings.size)
+        return beginning(self.findings)
+
+    def _columns(self, info: Info) -> list[int] | str:
+        """Where the channels of the log are in a description of its device; or why its samples are no continuation."""
+        there = now_at(self.device_info, info)
+        if isinstance(there, str) or self.info is self.device_info:
+            return there
+        names = [s.name for s in self.device_info.signals]
+        return [there[names.index(name)] for name in self.channels]
 
     def _blocks(self) -> Iterator[tuple[RawBlock, Info]]:
-        info = self.info
-        for entry, _ in walk(self.path, self.again()):
+        info = self.device_info
+        for entry in self._entries():
             if isinstance(entry, Info):
                 info = entry
             elif isinstance(entry, RawBlock):
                 yield entry, info
+
+    def _entries(self) -> Iterator[Entry]:
+        return _entries(self.path, self.again(), self.span)
 
     def _affordable(self, item_bytes: int) -> None:
         needed = (self.stop - self.first) * max(1, len(self.channels)) * item_bytes
@@ -241,13 +258,15 @@ class Recording:
             )
 
 
-def read_log(path: str | Path, *, max_events: int = MOST_EVENTS) -> Recording:
+def read_log(path: str | Path, *, part: Part = WHOLE_RECORD, max_events: int = MOST_EVENTS) -> Recording:
     """Read a log (MCAP), in one pass that checks every chunk; samples are read when they are asked for.
 
     Parameters
     ----------
     path : path
         The log. One that is being written is read up to where it is now.
+    part : Part
+        The part of it to read; what lies outside in time is neither read nor checked.
     max_events : int
         Gaps, notices, estimates and damage at most; a log with more was not made by Rotorscope.
 
@@ -260,106 +279,93 @@ def read_log(path: str | Path, *, max_events: int = MOST_EVENTS) -> Recording:
     ------
     LogError
         The file is missing, is no Rotorscope log, holds nothing intact or too many events.
+    ConfigError
+        Nothing lies in the part, or the log does not have one of its channels.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> from daq import acquire, load_rig, read_log
+    >>> from daq import Part, acquire, load_rig, read_log
     >>> rig = load_rig("configs/one_bearing.toml")
     >>> with TemporaryDirectory() as folder:
     ...     summary = acquire(rig, "virtual:", seconds=0.5, out=f"{folder}/bearing.mcap")
     ...     log = read_log(f"{folder}/bearing.mcap")
     ...     y = log.samples(rig)
-    >>> y.shape, log.rate_hz, log.complete
-    ((6400, 2), 12800.0, True)
+    ...     end = read_log(f"{folder}/bearing.mcap", part=Part(from_s=0.4)).samples(rig)
+    >>> y.shape, log.rate_hz, log.complete, end.shape
+    ((6400, 2), 12800.0, True, (1280, 2))
     """
     path = Path(path)
-    findings, written = Findings(), being_written(path)
-    said = _Said()
-    for entry, _ in walk(path, findings):
-        if entry is not None:
-            said.take(entry)
-        if said.events + len(findings.damage) > max_events:
-            text = f"holds more than {max_events} gaps, notices and estimates; it was not made by Rotorscope"
-            raise LogError(f"{path}: {text}")
+    findings, of = _part(path, part) if part.of_time else (Findings(), None)
+    return _recording(path, part, findings, of, max_events)
+
+
+def _recording(path: Path, part: Part, findings: Findings, of: Span | None, max_events: int) -> Recording:
+    written = being_written(path)
+    said = _said(path, _entries(path, findings, of), findings, max_events)
     if said.info is None and written:
         raise LogError(f"{path}: is being written, and holds nothing yet; try again when samples have come")
     if said.info is None:
         what = "nothing in it is intact" if findings.damage else "it holds no session"
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")
+    if of is not None and said.first is None:
+        rest = _said(path, _entries(path, beginning(findings), replace(of, first=0, stop=None)), findings, max_events)
+        raise beyond(path, (max(rest.stop, of.origin) - of.origin) / said.info.rate_hz)
+    if of is not None and not findings.closed:
+        findings.closed = ends_closed(path, findings)
+    names, info = part.chosen(path, [s.name for s in said.info.signals]), said.info
+    if part.channels:
+        info = replace(info, signals=tuple(s for s in info.signals if s.name in names))
     return Recording(
-        path=path, head=said.head, info=said.info, first=said.first or 0, stop=said.stop, lost_samples=said.lost,
+        path=path, head=said.head, info=info, first=said.first or 0, stop=said.stop, lost_samples=said.lost,
         gaps=tuple(said.gaps), notices=tuple(said.notices), estimates=tuple(said.estimates),
         clocks=tuple(said.clocks), last_status=said.status, findings=findings,
         growing=written and not findings.closed, others=tuple(said.others), started_ns=said.started_ns,
+        device_info=said.info, span=of,
     )  # fmt: skip
 
 
-class _Said:
-    """What the entries of a log say, taken one after the other."""
+def _said(path: Path, entries: Iterator[Entry], findings: Findings, most: int, first_only: bool = False) -> Said:
+    """What entries say; first_only : up to the first sample. Raises LogError if they are too many."""
+    said = Said()
+    for entry in entries:
+        said.take(entry)
+        if said.events + len(findings.damage) > most:
+            text = f"holds more than {most} gaps, notices and estimates; it was not made by Rotorscope"
+            raise LogError(f"{path}: {text}")
+        if first_only and isinstance(entry, RawBlock):
+            break
+    return said
 
-    def __init__(self) -> None:
-        self.head = Head()
-        self.info: Info | None = None
-        self.status: Status | None = None
-        self.first: int | None = None
-        self.stop = self.lost = 0
-        self.gaps: list[Gap] = []
-        self.notices: list[Notice] = []
-        self.estimates: list[LoggedEstimate] = []
-        self.clocks: list[tuple[int, ClockState]] = []
-        self.others: list[Other] = []
-        self._first_ns = 0  # host time of the first sample
-        self._deviation = ""  # of the description in force from the first one
 
-    @property
-    def events(self) -> int:
-        events = len(self.gaps) + len(self.notices) + len(self.estimates)
-        return events + len(self.clocks) + len(self.others)
+def _part(path: Path, part: Part) -> tuple[Findings, Span | None]:
+    """Where a part of a log is, and the findings of the log's beginning: its attachments."""
+    findings = Findings(partial=True)
+    said = _said(path, _entries(path, findings, None), findings, MOST_EVENTS, first_only=True)
+    if said.info is None or said.first is None:
+        return Findings(), None
+    of = span(path, part, said.started_ns, said.info, said.first, findings)
+    return findings if of.at else beginning(findings), of
 
-    @property
-    def started_ns(self) -> int | None:
-        """Unix time of the first sample, if it is known: before there was a word for it, imports were stamped wrong."""
-        about = self.head.metadata
-        recorded = about.get("command") == "import" or about.get("link_kind") == "capture"
-        if not self._first_ns or about.get("started") == UNKNOWN_START or (recorded and "imported" not in about):
-            return None
-        started_ns = self._first_ns + self.head.wall_offset_ns
-        return started_ns if 0 <= started_ns < LATEST_NS else None  # of a hostile file
 
-    def take(self, entry: Entry) -> None:
-        """The next entry of the log."""
-        match entry:
-            case RawBlock():
-                self.first = entry.index if self.first is None else self.first
-                if not self._first_ns and self.info is not None:
-                    rows = entry.index - self.first + entry.part_rows[0] - 1  # the part came with its last row
-                    self._first_ns = entry.part_host_ns[0] - round(1e9 * rows / self.info.rate_hz)
-                self.stop = entry.stop
-                if self._deviation:
-                    self._count_other(entry)
-            case Gap():
-                self.gaps.append(entry)
-                if entry.count:
-                    self.first = entry.index if self.first is None else self.first
-                    self.lost += entry.count
-                    self.stop = entry.index + entry.count
-            case Info():
-                self.info = self.info or entry
-                there = now_at(self.info, entry)
-                self._deviation = there if isinstance(there, str) else ""
-            case Notice():
-                self.notices.append(entry)
-            case LoggedEstimate():
-                self.estimates.append(entry)
-            case Status():
-                self.status = entry
-                if entry.clock is not None:
-                    self.clocks.append((entry.index, entry.clock))
-            case Head():
-                self.head = entry
-
-    def _count_other(self, block: RawBlock) -> None:
-        same = bool(self.others) and self.others[-1].what == self._deviation
-        begun = self.others.pop() if same else Other(block.index, self._deviation, 0)
-        self.others.append(replace(begun, samples=begun.samples + len(block.counts)))
+def _entries(path: Path, findings: Findings, of: Span | None) -> Iterator[Entry]:
+    """The entries of a log, or of a part of it."""
+    if of is None:
+        yield from (entry for entry, _ in walk(path, findings) if entry is not None)
+        return
+    info, within = None, False
+    for entry, _ in walk(path, findings, at=of.at):
+        if entry is None:
+            continue
+        if isinstance(entry, Info):
+            info = entry
+        elif isinstance(entry, RawBlock | Gap) and info is not None:
+            if of.stop is not None and entry.index >= of.stop:
+                return
+            kept = inside(entry, of, info)
+            within = within or kept is not None
+            if kept is not None:
+                yield kept
+            continue
+        if within or isinstance(entry, Head | Info):
+            yield entry

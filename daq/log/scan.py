@@ -10,6 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -33,6 +34,7 @@ FOOTER_BYTES = RECORD_STRUCT.size + 20 + len(LOG_MAGIC)  # with the magic at the
 TOO_MUCH = "holds more than a log of its size can: it was not made by Rotorscope"
 MAX_CHUNK_BYTES = 64 << 20  # bytes of a chunk, before and after compression: no file makes us allocate more at once
 READ_BYTES = 1 << 20  # a call
+PROBE_BYTES = 1 << 16  # a call that looks for a place in the file
 
 
 class Message(NamedTuple):
@@ -53,23 +55,43 @@ class Findings:
     messages: int = 0
     size: int | None = None  # of the file at the first look: it may be growing
     closed: bool = False  # footer and index are there and agree with what was read
+    partial: bool = False  # only a part of the file was read: what lies outside is not known to be intact
 
     @property
     def complete(self) -> bool:
         return self.closed and not self.damage
 
 
-def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
-    """The messages of each intact chunk, in the file's order. Raises LogError if the file cannot be read."""
+def scan(path: Path, findings: Findings, at: int = 0) -> Iterator[list[Message]]:
+    """The messages of each intact chunk, in the file's order. Raises LogError if the file cannot be read.
+
+    at : where to begin: 0, or where a chunk begins.
+    """
     try:
-        if path.is_fifo():  # to open it would wait for somebody who writes
-            raise LogError(f"{path}: is a pipe; write the log to a file first")
-        with path.open("rb", READ_BYTES) as file:
+        with opened(path, PROBE_BYTES if findings.partial else READ_BYTES) as file:
             first = findings.size is None
             findings.size = os.fstat(file.fileno()).st_size if findings.size is None else findings.size
-            yield from _scan(file, findings.size, findings, _Checksum(zlib.crc32(LOG_MAGIC) if first else None))
+            checksum = _Checksum(zlib.crc32(LOG_MAGIC) if first else None)
+            yield from _scan(file, findings.size, findings, checksum, at)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
+
+
+@contextmanager
+def opened(path: Path, buffer_bytes: int = PROBE_BYTES) -> Iterator[BinaryIO]:
+    """The file of a log. Raises LogError if it is a pipe: to open it would wait for somebody who writes."""
+    if path.is_fifo():
+        raise LogError(f"{path}: is a pipe; write the log to a file first")
+    with path.open("rb", buffer_bytes) as file:
+        yield file
+
+
+def ends_closed(path: Path, findings: Findings) -> bool:
+    """Whether a file ends as a closed log does; nothing else of it is looked at."""
+    with opened(path) as file:
+        file.seek(max(0, (findings.size or 0) - FOOTER_BYTES))
+        end = file.read(FOOTER_BYTES)
+    return len(end) == FOOTER_BYTES and end[0] == FOOTER_OPCODE and end.endswith(LOG_MAGIC)
 
 
 @dataclass(slots=True)
@@ -123,11 +145,13 @@ class _Record(NamedTuple):
     packed: int | None
 
 
-def _scan(file: BinaryIO, size: int, findings: Findings, checksum: _Checksum) -> Iterator[list[Message]]:
-    magic = file.read(len(LOG_MAGIC))
-    if magic != LOG_MAGIC:
+def _scan(
+    file: BinaryIO, size: int, findings: Findings, checksum: _Checksum, at: int
+) -> Iterator[list[Message]]:  # fmt: skip
+    if at == 0 and file.read(len(LOG_MAGIC)) != LOG_MAGIC:
         findings.damage.append("the first 8 bytes are not those of an MCAP file")
-    at, limits, unpacker = len(LOG_MAGIC), _Limits.of(size), zstandard.ZstdDecompressor()
+    at, limits, unpacker = max(at, len(LOG_MAGIC)), _Limits.of(size), zstandard.ZstdDecompressor()
+    file.seek(at)
     while at < size:
         record, problem = _record(file, at, size), ""
         if record.packed is not None:  # a chunk, whatever a flipped bit makes of its kind or its length
@@ -157,7 +181,7 @@ def _scan(file: BinaryIO, size: int, findings: Findings, checksum: _Checksum) ->
             at = record.end
             continue
         findings.damage.append(f"at byte {at} of {size} the file {problem}")
-        found = _next_chunk(file, at + 1, size)
+        found = next_chunk(file, at + 1, size)
         if found is None or limits.spent:
             return
         at = found
@@ -200,7 +224,7 @@ def _other(
         return _attachment(content[RECORD_STRUCT.size :], findings)
     ahead = _at(file, at, min(record.end - at, READ_BYTES) + SIGNATURE_AT + len(ZSTD_SIGNATURE))
     long = record.length > READ_BYTES
-    if (long or ZSTD_SIGNATURE in ahead) and _next_chunk(file, at + 1, size, record.end) is not None:
+    if (long or ZSTD_SIGNATURE in ahead) and next_chunk(file, at + 1, size, record.end) is not None:
         return "has a record that swallows a chunk"  # its length has no checksum: never trust it that far
     if record.op == DATA_END_OPCODE and record.length == 4:
         checksum.compare(int.from_bytes(ahead[RECORD_STRUCT.size : RECORD_STRUCT.size + 4], "little"), findings)
@@ -298,6 +322,8 @@ def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bo
         if op == STATISTICS_OPCODE and at + RECORD_STRUCT.size + 26 <= len(summary):
             statistics = struct.unpack_from("<QHIIII", summary, at + RECORD_STRUCT.size)
         at += RECORD_STRUCT.size + length
+    if findings.partial:
+        return True
     if statistics and (statistics[0], statistics[5]) != (findings.messages, findings.chunks):
         findings.damage.append(
             f"{statistics[5]} chunks with {statistics[0]} messages were written, "
@@ -308,13 +334,15 @@ def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bo
     return True
 
 
-def _next_chunk(file: BinaryIO, at: int, size: int, before: int | None = None) -> int | None:
+def next_chunk(
+    file: BinaryIO, at: int, size: int, before: int | None = None, piece_bytes: int = READ_BYTES
+) -> int | None:  # fmt: skip
     """Where the next chunk from `at` on, and before `before`, may begin."""
     before = size if before is None else before
     seek, stop = at + SIGNATURE_AT, before + SIGNATURE_AT
     while seek < stop:
         file.seek(seek)
-        piece = file.read(min(READ_BYTES, stop - seek) + len(ZSTD_SIGNATURE))
+        piece = file.read(min(piece_bytes, stop - seek) + len(ZSTD_SIGNATURE))
         found = piece.find(ZSTD_SIGNATURE)
         while found >= 0:
             start = seek + found - SIGNATURE_AT
@@ -323,5 +351,5 @@ def _next_chunk(file: BinaryIO, at: int, size: int, before: int | None = None) -
             if _record(file, start, size).packed is not None:
                 return start
             found = piece.find(ZSTD_SIGNATURE, found + 1)
-        seek += READ_BYTES
+        seek += piece_bytes
     return None

@@ -89,6 +89,40 @@ def _again(rig: Rig, effect: str) -> str:
     return "nothing to add" if further is None else f"a further line is called {further}"
 
 
+def of_channels(rig: Rig, names: Sequence[str]) -> Rig:
+    """The rig with some of its channels only, as if the others were not measured; () for all.
+
+    Raises ConfigError for a channel that the rig does not have, or for a rig that is none without the others.
+    """
+    held = [c.name for c in rig.model.channels]
+    for name in names:
+        if name not in held:
+            text = f'there is no channel "{name}"; {did_you_mean(name, held, "there are")}'
+            raise ConfigError(f"{_where(rig)}: --channels: {text}")
+    gone = set(held) - set(names) if names else set()
+    if not gone:
+        return rig
+
+    places = {c.place for c in rig.model.channels if c.name in gone}
+    places -= {c.place for c in rig.model.channels if c.name not in gone}
+    for use in (*rig.model.effects, *rig.model.candidates):
+        if unmeasured := [place for place in use.at if place in places]:
+            rig = Rig.parse(without_effect(rig, use.name, unmeasured), rig.base, rig.path)
+
+    def left_out(name: tuple[str, ...], table: str) -> bool:
+        return name == ("channel",) and tomlkit.parse(table)["channel"][0].get("name") in gone
+
+    document = tomlkit.parse(remove_tables(rig.text, left_out))
+    tables: Any = document.get("channel", [])
+    for k in [k for k, table in enumerate(tables) if table.get("name") in gone][::-1]:  # written inline
+        del tables[k]
+    link: Any = document.get("link", {})
+    for name in gone & set(link.get("signals", {})):
+        del link["signals"][name]
+    where = f"{_where(rig)}, with --channels {','.join(names)}"
+    return Rig.parse(tomlkit.dumps(document), rig.base, rig.path, where)
+
+
 def without_effect(rig: Rig, effect: str, at: Sequence[str] = ()) -> str:
     """The text of the rig file without an effect, everywhere or at the places given. Raises ConfigError if it is not
     there."""

@@ -8,7 +8,19 @@ from typing import Annotated
 
 import typer
 
-from .options import HtmlOption, Json, LogArgument, Output, Quiet, RerunOption, RigArgument, RigOption, Verbose
+from .options import (
+    HtmlOption,
+    Json,
+    LogArgument,
+    Output,
+    Part,
+    Quiet,
+    RerunOption,
+    RigArgument,
+    RigOption,
+    Verbose,
+    of_a_part,
+)
 
 
 class Method(StrEnum):
@@ -18,6 +30,7 @@ class Method(StrEnum):
     volterra = "volterra"
 
 
+@of_a_part
 def fit(
     log: LogArgument,
     rig: RigOption,
@@ -28,13 +41,16 @@ def fit(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Parameters with units, standard deviations and an identifiability verdict."""
     from daq.commands.analyse import fit as body
 
-    body(Output(json, quiet, verbose), log, rig, method.value, out)
+    body(Output(json, quiet, verbose), log, rig, method.value, out, part)
 
 
+@of_a_part
 def compare(
     log: LogArgument,
     rig: RigOption,
@@ -43,13 +59,16 @@ def compare(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Model against measurement, on held-out data; where it fails."""
     from daq.commands.analyse import compare as body
 
-    body(Output(json, quiet, verbose), log, rig, html, rerun)
+    body(Output(json, quiet, verbose), log, rig, html, rerun, part)
 
 
+@of_a_part
 def diagnose(
     log: LogArgument,
     rig: RigOption,
@@ -58,13 +77,16 @@ def diagnose(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Which effect is missing, ranked, with evidence; or "complete"; or "unknown" with the shape of what is missing."""
     from daq.commands.diagnosis import diagnose as body
 
-    body(Output(json, quiet, verbose), log, rig, html, rerun)
+    body(Output(json, quiet, verbose), log, rig, html, rerun, part)
 
 
+@of_a_part
 def improve(
     log: LogArgument,
     rig: RigOption,
@@ -74,11 +96,13 @@ def improve(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Compare, diagnose, add an effect and refit, until no effect improves the model; prints the error of each step."""
     from daq.commands.diagnosis import improve as body
 
-    body(Output(json, quiet, verbose), log, rig, out, html, rerun)
+    body(Output(json, quiet, verbose), log, rig, out, html, rerun, part)
 
 
 def theory(

@@ -9,11 +9,12 @@ import typer
 
 from daq.base.console.stop import all_or_nothing
 
-from .options import Json, Output, Quiet, RigOption, Verbose
+from .options import Json, Output, Part, Quiet, RigOption, Verbose, of_a_part
 
 Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
 
 
+@of_a_part
 def import_(
     file: Annotated[
         list[Path],
@@ -32,6 +33,8 @@ def import_(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Import a file of another format, by its ending, into a log; several become one log, with gaps between them.
 
@@ -40,21 +43,24 @@ def import_(
     with all_or_nothing():
         from daq.commands.files.importers import import_files as body
 
-        body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
+        body(Output(json, quiet, verbose), file, rig, out, rate, gaps, part)
 
 
+@of_a_part
 def export(
     log: Log,
     to: Annotated[Path, typer.Option("--to", metavar="FILE", help=".npz .csv .mat .mf4 .wav, by ending.")],
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Export a log to another format, by the ending of the file. Gaps become NaN and are listed."""
     with all_or_nothing():
         from daq.commands.files.exporters import export as body
 
-        body(Output(json, quiet, verbose), log, to)
+        body(Output(json, quiet, verbose), log, to, part)
 
 
 def recover(
@@ -71,11 +77,12 @@ def recover(
         body(Output(json, quiet, verbose), log, out)
 
 
-def info(log: Log, json: Json = None, quiet: Quiet = False, verbose: Verbose = False) -> None:
+@of_a_part
+def info(log: Log, json: Json = None, quiet: Quiet = False, verbose: Verbose = False, *, part: Part) -> None:
     """Show what a log holds."""
     from daq.commands.files.files import info as body
 
-    body(Output(json, quiet, verbose), log)
+    body(Output(json, quiet, verbose), log, part)
 
 
 def ports(json: Json = None, quiet: Quiet = False, verbose: Verbose = False) -> None:

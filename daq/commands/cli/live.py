@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Json, Output, Quiet, RigArgument, Verbose
+from .options import Json, Output, Part, Quiet, RigArgument, Verbose, of_a_part
 
 LINK_FORMS = (
     "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
@@ -112,6 +112,7 @@ def simulate(
     body(Output(json, quiet, verbose), rig, out, serve, seconds, seed, truth, speed, device, fault or [])
 
 
+@of_a_part
 def replay(
     log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="A log.")],
     speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="Times real time.")] = "max",
@@ -128,11 +129,13 @@ def replay(
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    *,
+    part: Part,
 ) -> None:
     """Run a log through the pipeline of a live acquisition again."""
     from daq.commands.live.run import replay as body
 
-    body(Output(json, quiet, verbose), log, speed, rig, check, out, rerun)
+    body(Output(json, quiet, verbose), log, speed, rig, check, out, rerun, part)
 
 
 def register(app: typer.Typer) -> None:

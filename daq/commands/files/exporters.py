@@ -19,6 +19,7 @@ from daq.base.console.tables import gap_lines
 from daq.base.console.unfinished import half, led_to
 from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import ConfigError, LogError, not_written
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.log.reader import Recording, read_log
 from daq.rig.rig import Rig
 
@@ -52,14 +53,14 @@ class Table:
         return "" if self.started_ns is None else utc_text(self.started_ns)
 
 
-def export(output: Output, log: Path, to: Path) -> None:
+def export(output: Output, log: Path, to: Path, part: Part = WHOLE_RECORD) -> None:
     suffix = to.suffix.lower()
     writer = WRITER_OF_SUFFIX.get(suffix)
     if writer is None:
         raise ConfigError(
             f'{to}: cannot export to a file that ends in "{to.suffix}"; known are {", ".join(WRITER_OF_SUFFIX)}'
         )
-    recording, notes = read_log(log), list[str]()
+    recording, notes = read_log(log, part=part), list[str]()
     with output.progress(f"exporting to {to.name}"):
         table = named(in_units(recording, notes.append), suffix)
         if not len(table.values):
@@ -84,6 +85,9 @@ def export(output: Output, log: Path, to: Path) -> None:
         "rate_hz": table.rate_hz,
         "started": table.started or None,
     }
+    if recording.from_s is not None:
+        value["from_s"] = recording.from_s
+        output.note(f"{to}: its time 0 is {recording.from_s:.9g} s of {log}")
     seconds = len(table.values) / table.rate_hz
     output.result(value, f"{to}: {seconds:.6g} s of {', '.join(table.names)} at {table.rate_hz:g} Hz")
 

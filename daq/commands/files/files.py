@@ -13,7 +13,9 @@ from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines, gap_reasons
 from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import ConfigError, LogError
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.log.reader import Recording, read_log
+from daq.rig.edit import of_channels
 from daq.rig.rig import Rig
 from drivers.contract import Notice
 
@@ -21,10 +23,10 @@ MOST_LINES = 10
 SURVEYED_VALUES = 4_000_000  # samples of all channels in a log that is looked at: 3 s of computing
 
 
-def info(output: Output, log: Path) -> None:
-    from daq.log.info import info as facts
+def info(output: Output, log: Path, part: Part = WHOLE_RECORD) -> None:
+    from .facts import info as facts
 
-    recording = read_log(log)
+    recording = read_log(log, part=part)
     found = _findings(recording)
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
@@ -44,7 +46,7 @@ def _findings(log: Recording) -> list[tuple[str, str]]:
     if log.n_samples * len(log.channels) > SURVEYED_VALUES or log.lost_samples > 10 * log.n_samples:
         return []
     try:
-        rig = Rig.parse(log.rig_text)
+        rig = of_channels(Rig.parse(log.rig_text), log.channels if log.info is not log.device_info else ())
         y = log.samples(rig, lambda text: None)
     except (ConfigError, LogError):  # no rig file, or one of another record
         return []
@@ -58,6 +60,8 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
         ("length", f"{log.seconds:.6g} s, {log.n_samples} samples of each channel at {log.rate_hz:g} Hz"),
         ("channels", ", ".join(f"{s.name} [{s.unit}]" for s in log.info.signals)),
     ]
+    if log.from_s is not None:
+        rows.insert(2, ("part", f"from {log.from_s:.6g} s on; the rest of the log is not read, and not checked"))
     if log.lost_samples:
         rows.append(("lost", f"{log.lost_samples} samples in {gap_reasons(log.gaps)}"))
         rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]

@@ -22,11 +22,13 @@ from numpy.typing import NDArray
 from daq.base.console.memory import bounded_memory
 from daq.base.console.output import Output, Progress, quiet_progress
 from daq.base.contract.dates import utc_text
-from daq.base.contract.errors import LogError
+from daq.base.contract.errors import ConfigError, LogError
+from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.base.contract.sink import Session
 from daq.exchange.checks import Record, load
 from daq.exchange.joined import joined
 from daq.exchange.measurement import findings
+from daq.rig.edit import of_channels
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI_UNIT
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
@@ -40,10 +42,13 @@ LEAST_STEPS = 256.0  # in the median of the sizes: rounding is then below -57 dB
 
 
 def import_files(
-    output: Output, paths: Sequence[Path], rig_path: Path, out: Path, rate_hz: float | None, gaps: bool
+    output: Output, paths: Sequence[Path], rig_path: Path, out: Path, rate_hz: float | None, gaps: bool,
+    part: Part = WHOLE_RECORD,
 ) -> None:  # fmt: skip
-    """One file, or several of one measurement with gaps between them, into one log."""
-    rig = load_rig(rig_path)
+    """One file or a part of it, or several of one measurement with gaps between them, into one log."""
+    rig = of_channels(load_rig(rig_path), part.channels)
+    if len(paths) > 1 and part.of_time:
+        raise ConfigError("--from, --to and --seconds are for one file; import all, and export the part of the log")
     for path in paths:
         if out.resolve() == path.resolve():
             raise LogError(f"{out}: is the file to import; choose another name for the log")
@@ -51,7 +56,7 @@ def import_files(
     if captures and len(paths) > 1:
         raise LogError(f"{captures[0]}: CAN traffic is imported one file at a time; give each a log of its own")
     if captures:
-        _import_capture(output, captures[0], rig, out)
+        _import_capture(output, captures[0], rig, out, part)
         return
     found: list[Notice] = []  # for the log, too: whoever has only that is to know
 
@@ -62,7 +67,7 @@ def import_files(
     read = []
     for path in paths:
         with output.progress(f"reading {path.name}"):
-            read.append((path, load(path, rig, rate_hz, partial(say, of=path), gaps)))
+            read.append((path, load(path, rig, rate_hz, partial(say, of=path), gaps, part)))
     record = joined(read, say) if len(read) > 1 else read[0][1]
     faults = findings(record.si(), record.rate_hz, rig, SURVEYED_VALUES)
     told = [*found, *(Notice(time.monotonic_ns(), "warning", code, text) for code, text in faults)]
@@ -92,14 +97,14 @@ def _is_capture(path: Path, rig: Rig) -> bool:
     return suffix in CAPTURE_SUFFIXES and (suffix != ".mf4" or bool(rig.link.signals))
 
 
-def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
+def _import_capture(output: Output, path: Path, rig: Rig, out: Path, part: Part) -> None:
     """Recorded CAN traffic goes through the driver and the pipeline that live traffic takes."""
     from daq.commands.live.run import run_rig
 
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     with bounded_memory(path.stat().st_size):  # what cannot be unpacked in it is damage of the file
-        run_rig(output, rig, f"capture:{path}", out, command="import")
+        run_rig(output, rig, f"capture:{path}", out, command="import", part=part)
 
 
 def write_record(

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
+from daq.base.contract.part import WHOLE_RECORD, Part
+from daq.rig.edit import of_channels
 from daq.rig.rig import Rig, load_rig
 from daq.session.acquire import FINITE_KINDS, RECORDED_KINDS, RunSummary, acquire_from
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks, refuse_own_log, replay_failure
 
+from .part_of import PartOf
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
 
 if TYPE_CHECKING:
@@ -54,9 +57,12 @@ def rig_and_link(text: str) -> tuple[Path, str | None]:
 def run_rig(
     output: Output, rig: Rig, link: str | None, out: Path | None, *, seconds: float | None = None,
     rerun: str | None = None, strict: bool = False, metrics: int | None = None, command: str = "run",
+    part: Part = WHOLE_RECORD,
 ) -> None:  # fmt: skip
     """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
+    if part.of_time:
+        driver = PartOf(driver, part, link or "")
     server = None if metrics is None else serve_metrics(output, metrics)
     importing = command == "import"  # all of it or none
     with Stop() as stop:
@@ -133,18 +139,21 @@ def simulate(
 
 
 def replay(
-    output: Output, log: Path, speed: str, rig_path: Path | None, check: bool, out: Path | None, rerun: str | None
-) -> None:
+    output: Output, log: Path, speed: str, rig_path: Path | None, check: bool, out: Path | None, rerun: str | None,
+    part: Part = WHOLE_RECORD,
+) -> None:  # fmt: skip
     from daq.log.reader import read_log
     from daq.session.replay import logged_rig, replay_into
 
     refuse_own_log(log, out)
     pace = _speed(speed)
-    recording = read_log(log)
+    if check and part:
+        raise ConfigError("--check compares the whole log: leave out --from, --to, --seconds and --channels")
+    recording = read_log(log, part=part)
     if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
         raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
                           "leave --rig out, or give that very file")  # fmt: skip
-    rig = logged_rig(recording) if rig_path is None else load_rig(rig_path)
+    rig = of_channels(logged_rig(recording) if rig_path is None else load_rig(rig_path), part.channels)
     with Stop() as stop:
         offset_ns = recording.head.wall_offset_ns if recording.started_ns is not None else None
         sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=offset_ns, recorded=True)

@@ -22,10 +22,10 @@ from sessions import RIG_TEXT, counts_at, make_block, make_estimate, make_info, 
 from daq.base.console.file_kinds import LOG_MAGIC
 from daq.base.contract.dates import Recorded
 from daq.base.contract.errors import LogError
+from daq.commands.files.facts import info
 from daq.log import codec as codec
 from daq.log.encoder import LogEncoder
 from daq.log.file import LogFile
-from daq.log.info import info
 from daq.log.reader import Recording, read_log
 from daq.log.recover import recover
 from daq.log.scan import SIGNATURE_AT, ZSTD_SIGNATURE

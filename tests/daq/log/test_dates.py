@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from sessions import make_info, make_session, make_status
 
 from daq.base.contract.dates import Recorded, unix_ns, utc_text
-from daq.log.info import info
+from daq.commands.files.facts import info
 from daq.log.reader import read_log
 from daq.log.writer import LogWriter
 from daq.session import replay

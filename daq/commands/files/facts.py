@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from daq.base.contract.dates import utc_text
-
-from .reader import Recording
+from daq.log.reader import Recording
 
 
 def info(log: Recording) -> dict[str, Any]:
@@ -36,6 +35,8 @@ def info(log: Recording) -> dict[str, Any]:
         "attachments": {name: len(data) for name, data in log.attachments.items()},
         "metadata": log.metadata,
     }
+    if log.from_s is not None:
+        out["from_s"] = log.from_s
     if log.clock is not None:
         out["clock"] = {"offset_bound_s": log.clock.bound_ns * 1e-9, "drift_ppm": log.clock.drift_ppm}
     if log.last_status is not None:
