@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,18 @@ from numpy.typing import NDArray
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.rig.rig import Rig
 
+if TYPE_CHECKING:
+    from daq.log.reader import Recording
+
+MAX_DOUBLE_VALUES = 1 << 24  # samples of all channels that are held in double precision, 128 MiB
+
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
     """A record of the rig's channels.
 
-    y : (n, channels of the rig) float64, SI; NaN where a sample is missing or at full scale.
+    y : (n, channels of the rig) SI, float64, or float32 of more than MAX_DOUBLE_VALUES samples; NaN where a sample is
+    missing or at full scale.
     rate_hz : sampling rate, Hz.
     facts : heading -> text, for the head of a report.
     started : time of the first row, UTC; None where the file does not state it.
@@ -43,7 +50,7 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
         from daq.log.reader import read_log
 
         log = read_log(path, part=replace(part, channels=()))
-        y, started, rate_hz, from_s = log.samples(rig, note), log.started, log.rate_hz, log.from_s
+        y, started, rate_hz, from_s = log.samples(rig, note, dtype=_dtype(log, rig)), log.started, log.rate_hz, log.from_s
     else:
         from .checks import load
 
@@ -57,6 +64,12 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
     if started is not None:
         facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
     return Measurement(y, rate_hz, facts, started, from_s)
+
+
+def _dtype(log: Recording, rig: Rig) -> type[np.float64] | type[np.float32]:
+    """Of the samples of a log: a long record is held in single precision."""
+    values = (log.stop - log.first) * len(rig.model.channels)
+    return np.float32 if values > MAX_DOUBLE_VALUES else np.float64
 
 
 def findings(y: NDArray[np.float64], rate_hz: float, rig: Rig, most_values: int) -> list[tuple[str, str]]:

@@ -18,10 +18,15 @@ if TYPE_CHECKING:
 RATE_TOLERANCE_REL = 2e-3  # between the rate of a log and that of a rig file, before a note says so
 
 
-def rig_samples(log: Recording, rig: Rig, note: Callable[[str], None]) -> NDArray[np.float64]:
+def rig_samples(
+    log: Recording,
+    rig: Rig,
+    note: Callable[[str], None],
+    dtype: type[np.float64] | type[np.float32] = np.float64,
+) -> NDArray[np.float64]:
     """(n, channels of the rig) in SI, NaN where a sample is missing or at full scale; see `Recording.samples`."""
     columns = _columns(log, rig)
-    y, clipped = log.unclipped(columns)
+    y, clipped = log.unclipped(columns, dtype)
     if not len(y):
         raise LogError(f"{log.path}: holds no samples")
     for text in _doubts(log):

@@ -8,7 +8,7 @@ from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.model.rig import MOTION_UNITS, Model
 
-from .machine import MachineSurvey, survey_machine
+from .machine import MachineSurvey, joined_bands, survey_machine
 from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
 from .structure import StructureSurvey, bearing_mode, survey_structure
 
@@ -44,7 +44,7 @@ def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
 
 
 def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
-    """The record without condemned channels, and without places where no mode can be the bearing's.
+    """The record without condemned channels, and without places where no mode can be the bearing's, with its lines.
 
     y : (n, channels), SI. Raises DataError, one line, where no place is left: a faulty channel first, and why the
     first sound place is not judged.
@@ -63,4 +63,7 @@ def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
     if found and len(found) == len(sound):
         faults = [f.text for f in sorted(layers.record.findings, key=lambda finding: not finding.condemned)]
         raise DataError("; ".join([*faults[:1], found[0].text]))
-    return usable_record(model, y, replace(layers.record, findings=(*layers.record.findings, *found)))
+    usable = usable_record(model, y, replace(layers.record, findings=(*layers.record.findings, *found)))
+    names = [c.name for c in usable.model.channels if c.kind in MOTION_UNITS]
+    lines = joined_bands(band for name in names for band in layers.machine.line_bands.get(name, ()))
+    return replace(usable, model=replace(usable.model, record_lines=tuple(lines)))

@@ -198,6 +198,8 @@ class Model:
         Laws of the user that are not in the model, but on trial when it is diagnosed.
     line_bands : tuple of LineBand
         Narrow lines found in the record, which are left out of the force balance.
+    record_lines : tuple of LineBand or None
+        All narrow lines that a survey found in the record; None: a fit looks for them.
     name : str
         Of the rig, for the user.
     anti_alias : AntiAlias or None
@@ -218,6 +220,7 @@ class Model:
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
     line_bands: tuple[LineBand, ...] = ()
+    record_lines: tuple[LineBand, ...] | None = None
     name: str = ""
     anti_alias: AntiAlias | None = None
 

@@ -87,7 +87,7 @@ def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided_hz: Array, avo
         noise = np.pad(noise, (0, P.size - noise.size), mode="edge")
         random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
         noise = np.maximum(noise, random)
-        level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise, mean_log=np.zeros(0))
+        level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise)
         usable = ~_avoided(P, spectrum.seconds, width, avoided_hz, avoided_sd_hz)
         usable[:LOWEST_BINS] = False
         nats = np.where(usable, -level.log_p(np.arange(P.size)), 0.0)
@@ -197,11 +197,9 @@ def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> A
     """Frequencies (Hz) of the clearest usable lines between two frequencies."""
     first = max(LOWEST_BINS, int(np.ceil(low_hz * table.spectrum.seconds)))
     last = min(int(high_hz * table.spectrum.seconds) + 1, table.nats.size - 1)
-    bins = np.arange(first, last)
-    if not bins.size:
-        return np.empty(0)
     nats = table.nats
-    bins = bins[(nats[bins] > CLEAR_LINE_NATS) & (nats[bins] >= nats[bins - 1]) & (nats[bins] >= nats[bins + 1])]
+    bins = first + np.flatnonzero(nats[first:last] > CLEAR_LINE_NATS)
+    bins = bins[(nats[bins] >= nats[bins - 1]) & (nats[bins] >= nats[bins + 1])]
     bins = bins[np.argsort(-nats[bins])][:most]
     return bins / table.spectrum.seconds
 

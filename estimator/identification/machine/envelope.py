@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
-from estimator.arrays import Array
+from estimator.arrays import Array, Series
 
 from .pieces import Pieces
 
@@ -34,6 +34,8 @@ TOP_OF_NYQUIST = 0.94  # part of the range below half the rate that a recorder p
 FLOOR_BLOCK_HZ, FLOOR_BLOCK_BINS = 20.0, 8  # of the floor that whitens: wider than a line, narrower than a mode
 ANGLE_POINTS = 4096  # of a piece at which the angle of the shaft is followed
 TONE_NOISE_HZ = 10.0  # a tone counts no more than the noise in so many hertz
+MAX_KEPT_ROWS = 1 << 22  # of a channel whose spectra are kept between two readings: 32 MB
+LEAST_POWER = 1e-30  # added to powers that may be 0; in single precision
 MIN_TONE_RATIO = 9.0  # power over the floor that is never bounded: noise does not reach it
 
 
@@ -78,15 +80,16 @@ def envelope_spectra(
     """
     if not len(pieces):
         return []
-    gain = _whitening(pieces)
+    spectra = _PieceSpectra(pieces)
+    gain = _whitening(spectra, pieces)
     edges = list(_bands(pieces, highest_hz, bank))
     sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
     first = 0
-    for group in pieces.groups():
+    for group in spectra:
         steps = _steps(pieces, range(first, first + len(group)), angle)
         first += len(group)
-        even = _at_one_level(irfft(rfft(group, axis=1) * gain, pieces.size, axis=1), int(level_s * pieces.rate_hz))
-        X = rfft(even, axis=1).astype(np.complex64)
+        white = irfft((group * gain).astype(np.complex64), pieces.size, axis=1)
+        X: NDArray[Any] = rfft(_at_one_level(white, int(level_s * pieces.rate_hz)), axis=1)
         for total, (a, b) in zip(sums, edges, strict=True):
             total += _squared_envelope_power(X[:, a:b], total.shape[1], steps)
     return [
@@ -99,6 +102,25 @@ def envelope_spectra(
         )
         for total, (a, b) in zip(sums, edges, strict=True)
     ]
+
+
+class _PieceSpectra:
+    """Spectra of groups of pieces, (pieces, bins), to be read twice; those of a short record are kept between."""
+
+    def __init__(self, pieces: Pieces) -> None:
+        self._pieces = pieces
+        self._kept: list[NDArray[np.complex64]] = []
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        if self._kept:
+            yield from self._kept
+            return
+        keep = len(self._pieces) * self._pieces.size <= MAX_KEPT_ROWS
+        for group in self._pieces.groups():
+            X = rfft(group, axis=1)
+            if keep:
+                self._kept.append(X.astype(np.complex64))
+            yield X
 
 
 def _bands(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> Iterator[tuple[int, int]]:
@@ -123,7 +145,7 @@ def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
     return out
 
 
-def _squared_envelope_power(X: NDArray[np.complex64], bins: int, steps: Sequence[Array]) -> Array:
+def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) -> Array:
     """(2, bins) squared amplitudes of the lines of the squared envelope of a band, and their mean under random phases.
 
     Both are sums over pieces, over the squared mean of the squared envelope, under a Hann window.
@@ -134,7 +156,7 @@ def _squared_envelope_power(X: NDArray[np.complex64], bins: int, steps: Sequence
     n = next_fast_len(max(X.shape[1] + bins, 2 * bins), real=True)
     z = ifft(X, n, axis=1)
     P = X.real**2 + X.imag**2
-    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, 1e-30)  # n times the mean of the squared envelope
+    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, LEAST_POWER)  # n times the mean of the squared envelope
     envelope = (z.real**2 + z.imag**2) / (mean / n)
     for row, at in zip(envelope, steps, strict=bool(steps)):
         share = np.interp(np.arange(n) / n, np.arange(at.size) / at.size, at)
@@ -154,18 +176,18 @@ def _before(lags: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([lags[:, 1:2].conj(), lags[:, :-1]], axis=1)
 
 
-def _at_one_level(x: Array, rows: int) -> Array:
+def _at_one_level(x: Series, rows: int) -> Series:
     """(pieces, size) samples over their level, smoothed over some rows: a level that changes is no strike train."""
     rows = max(3, min(rows, x.shape[1] // 4))
     level = uniform_filter1d(uniform_filter1d(x**2, rows, axis=1, mode="nearest"), rows, axis=1, mode="nearest")
-    return np.asarray(x / np.sqrt(np.maximum(level, 1e-3 * level.mean(axis=1, keepdims=True) + 1e-60)))
+    least = 1e-3 * level.mean(axis=1, keepdims=True) + LEAST_POWER
+    return np.asarray(x / np.sqrt(np.maximum(level, least)))
 
 
-def _whitening(pieces: Pieces) -> Array:
+def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> Array:
     """(bins,) factors that bring the noise in the spectrum of a piece to 1 and bound the lines."""
     power = np.zeros(pieces.size // 2 + 1)
-    for group in pieces.groups():
-        X = rfft(group, axis=1)
+    for X in spectra:
         power += (X.real**2 + X.imag**2).sum(axis=0)
     power /= len(pieces)
     floor = _floor(power, pieces.seconds)

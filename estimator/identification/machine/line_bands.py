@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.harmonics import has_unknown_line, known_lines
-from estimator.model.rig import MOTION_UNITS, LineBand, Model
+from estimator.model.rig import MOTION_UNITS, Model
 
-from .spectra import HANN_BIN_CORRELATION, channel_spectra
-from .tones import Line, significant_lines
-
-REACH_HALF_WIDTHS = 3.0  # of the resolution that holds most of a line: a wandering line has skirts beyond it
+from .spectra import channel_spectra
+from .tones import joined_bands, significant_lines
 
 
 def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
@@ -22,26 +19,15 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     forces stay. All lines stay where a force is measured, as that may have them too, and where the model has a periodic
     force of unknown frequency, as a line may be that force.
 
-    y : (n, channels), SI.
+    y : (n, channels), SI; not read where a survey has found the lines.
     """
     if any(c.kind == "force" for c in model.channels) or has_unknown_line(model):
         return model
-    columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
     own = known_lines(model)
-    found = line_bands(significant_lines(channel_spectra(y, rate_hz, columns)))
-    bands = (b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
-    return replace(model, line_bands=tuple(bands))
-
-
-def line_bands(lines: Iterable[Line]) -> list[LineBand]:
-    """The bands of narrow lines of all channels; overlapping ones are joined. A peak that may be a mode is none."""
-    out: list[LineBand] = []
-    for line in sorted((line for line in lines if line.narrow), key=lambda line: line.hz):
-        reach = REACH_HALF_WIDTHS * line.half_width_hz
-        low, high = line.hz - reach, line.hz + reach
-        power = line.power_ratio * HANN_BIN_CORRELATION * line.half_width_hz
-        if out and low <= out[-1].high_hz:
-            last = out.pop()
-            low, high, power = last.low_hz, max(high, last.high_hz), max(power, last.power_over_psd_hz)
-        out.append(LineBand(low_hz=low, high_hz=high, power_over_psd_hz=power))
-    return out
+    found = model.record_lines
+    if found is None:
+        columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
+        lines = significant_lines(channel_spectra(y, rate_hz, columns))
+        found = tuple(joined_bands(line.band for line in lines if line.narrow))
+    bands = tuple(b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
+    return replace(model, line_bands=bands)

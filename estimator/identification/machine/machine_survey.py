@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from estimator.model.rig import LineBand
 from estimator.results import Message
 
 SpeedSource = Literal["tacho", "record", "rig file"]
@@ -156,12 +157,15 @@ class MachineSurvey:
         Clearest first.
     messages : tuple of Message
         Remarks: a speed that the record contradicts, tones beyond the ten, what could not be searched and why.
+    line_bands : mapping of str to tuple of LineBand
+        Channel -> bands about its narrow lines, for a force balance to leave out.
     """
 
     speed: ShaftSpeed | None = None
     tones: tuple[Tone, ...] = ()
     strikes: tuple[StrikeTrain, ...] = ()
     messages: tuple[Message, ...] = field(default=())
+    line_bands: Mapping[str, tuple[LineBand, ...]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The value of the key `machine` in the JSON of a diagnosis."""

@@ -20,7 +20,7 @@ class Pieces:
 
     Parameters
     ----------
-    samples : (n,) float64
+    samples : (n,) float64 or float32
         NaN where a sample is missing. It is not changed.
     rate_hz : float
         Rows per second.
@@ -53,7 +53,8 @@ class Pieces:
         """Some pieces at a time, (pieces, size), each less its mean: at most about `max_rows` samples."""
         step = max(1, max_rows // max(self.size, 1))
         for first in range(0, len(self.starts), step):
-            rows = np.stack([self._samples[s : s + self.size] for s in self.starts[first : first + step]])
+            starts = self.starts[first : first + step]
+            rows = np.stack([self._samples[s : s + self.size] for s in starts]).astype(np.float64, copy=False)
             yield rows - rows.mean(axis=1, keepdims=True)
 
 

@@ -17,6 +17,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import fdtrc, gammaincinv
 
 from estimator.arrays import Array
+from estimator.parallel import map_threads
 
 from .pieces import Pieces
 
@@ -45,15 +46,15 @@ class LevelSpectrum:
         Squared peak amplitude of a tone at the bin, averaged over the pieces.
     noise : (bins,) float64
         Power of the noise about the bin.
-    mean_log : (bins,) float64
-        Mean over the pieces of the logarithm of a piece's power.
+    mean_log : (bins,) float64 or None
+        Mean over the pieces of the logarithm of a piece's power; None of one piece.
     """
 
     seconds: float
     count: float
     power: Array
     noise: Array
-    mean_log: Array
+    mean_log: Array | None = None
 
     def log_p(self, bins: NDArray[np.intp]) -> Array:
         """(k,) natural logarithm of the chance that noise gives the power of some bins; 0 where the power is low."""
@@ -66,6 +67,8 @@ class LevelSpectrum:
 
     def is_steady(self, k: int) -> bool:
         """Whether the power of bin k varies less from piece to piece than that of noise, at 3 standard deviations."""
+        if self.mean_log is None:
+            return False
         spread = np.log(self.power[k]) - self.mean_log[k]
         return bool(spread < EXPONENTIAL_MEAN_LOG - 3.0 * EXPONENTIAL_SD_LOG / np.sqrt(self.count))
 
@@ -86,26 +89,24 @@ def channel_spectra(y: Array, rate_hz: float, columns: Mapping[str, int]) -> dic
 
     y : (n, channels), SI. columns : channel -> its column.
     """
-    out = {}
-    for name, i in columns.items():
-        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz)
-        if len(pieces):
-            out[name] = level_spectra(pieces)
-    return out
+    found = map_threads(lambda i: level_spectra(Pieces(y[:, i], rate_hz)), columns.values())
+    return {name: levels for name, levels in zip(columns, found, strict=True) if levels}
 
 
 def _level(pieces: Pieces, size: int) -> LevelSpectrum:
     """The spectrum at one resolution. size : rows of a piece."""
     window = np.hanning(size + 1)[:-1]
     bins = size // 2 + 1
-    total, logs, count = np.zeros(bins), np.zeros(bins), 0
+    several = len(pieces) * pieces.size >= 2 * size  # one piece says nothing of scatter
+    total, logs, count = np.zeros(bins), np.zeros(bins if several else 0), 0
     for group in pieces.groups():
         cut = group[:, : group.shape[1] // size * size].reshape(-1, size)
         cut = cut - cut.mean(axis=1, keepdims=True)
         X = rfft(cut * window, axis=1)
         P = X.real**2 + X.imag**2
         total += P.sum(axis=0)
-        logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
+        if several:
+            logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
         count += len(P)
     scale = (2.0 / window.sum()) ** 2
     power = np.maximum(total / count * scale, 1e-300)
@@ -114,7 +115,7 @@ def _level(pieces: Pieces, size: int) -> LevelSpectrum:
         count=count,
         power=power,
         noise=local_noise(power, count),
-        mean_log=logs / count + np.log(scale),
+        mean_log=logs / count + np.log(scale) if several else None,
     )
 
 

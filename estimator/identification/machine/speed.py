@@ -142,18 +142,20 @@ def _comb(
 def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: bool) -> tuple[float, float, float] | None:
     """log p, Hz and sd (Hz) of the clearest fundamental at one resolution of several channels."""
     seconds = levels[0].seconds
-    peaks_hz, nats = _peaks(levels)
     top = min(level.power.size for level in levels) / seconds
-    grid = np.arange(max(low, 4.0 / seconds), min(high, top), GRID_STEP_BINS / (MAX_HARMONICS * seconds))
-    if not grid.size or not peaks_hz.size:
+    high = min(high, top)
+    peaks_hz, nats = _peaks(levels, MAX_HARMONICS * max(high, 1.1 * max(MAINS_HZ)))
+    grid = np.arange(max(low, 4.0 / seconds), high, GRID_STEP_BINS / (MAX_HARMONICS * seconds))
+    tried_speeds = grid.size
+    if not tried_speeds or not peaks_hz.size:
         return None
     k = np.arange(1, MAX_HARMONICS + 1)
+    if free:  # without a clear first harmonic a speed is none: few are left
+        grid = grid[_harmonic_nats(grid, peaks_hz, nats, seconds)[0] > CLEAR_HARMONIC_NATS]
+    if not grid.size:
+        return None
     wanted = np.outer(grid, k)
-    nearest = np.clip(np.searchsorted(peaks_hz, wanted), 1, peaks_hz.size - 1) if peaks_hz.size > 1 else wanted * 0
-    nearest = nearest.astype(np.intp)
-    nearest -= (np.abs(wanted - peaks_hz[nearest - 1]) < np.abs(wanted - peaks_hz[nearest])).astype(np.intp)
-    off = np.abs(wanted - peaks_hz[nearest]) * seconds / LINE_TOLERANCE_BINS
-    own = nats[nearest] * np.maximum(1.0 - off**2, 0.0)
+    own, nearest = _harmonic_nats(wanted, peaks_hz, nats, seconds)
     clear = own > CLEAR_HARMONIC_NATS
     first = clear[:, 0]
     if free:
@@ -163,7 +165,7 @@ def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: boo
     tried = np.array(HARMONIC_COUNTS) - 1
     count, total = np.cumsum(wanted < top, axis=1)[:, tried], np.cumsum(own, axis=1)[:, tried]
     p = gammaincc(np.maximum(count, 1), np.where(shaft[:, None], total, 0.0)).min(axis=1)
-    score = np.log(np.maximum(p, 1e-300)) + np.log(grid.size * len(HARMONIC_COUNTS))
+    score = np.log(np.maximum(p, 1e-300)) + np.log(tried_speeds * len(HARMONIC_COUNTS))
     i = int(np.argmin(score - 1e-6 * total[:, -1]))
     if score[i] > 0:
         return None
@@ -171,12 +173,22 @@ def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: boo
     return float(score[i]), hz, sd
 
 
-def _peaks(levels: Sequence[LevelSpectrum]) -> tuple[Array, Array]:
+def _harmonic_nats(wanted_hz: Array, peaks_hz: Array, nats: Array, seconds: float) -> tuple[Array, NDArray[np.intp]]:
+    """Nats of the peak nearest to each of some frequencies, less with the distance, and the number of that peak."""
+    nearest = np.searchsorted(peaks_hz, wanted_hz)
+    above, below = np.minimum(nearest, peaks_hz.size - 1), np.maximum(nearest - 1, 0)
+    nearest = np.where(np.abs(wanted_hz - peaks_hz[below]) < np.abs(wanted_hz - peaks_hz[above]), below, above)
+    off = np.abs(wanted_hz - peaks_hz[nearest]) * seconds / LINE_TOLERANCE_BINS
+    return nats[nearest] * np.maximum(1.0 - off**2, 0.0), nearest
+
+
+def _peaks(levels: Sequence[LevelSpectrum], top_hz: float) -> tuple[Array, Array]:
     """Frequencies (Hz, rising) of peaks in the channel that shows each best, and their nats, capped, channels paid for.
 
-    Multiples of the mains, of the grid that shows more of them, are left out.
+    Multiples of the mains, of the grid that shows more of them, are left out. top_hz : up to which they matter.
     """
-    size, seconds = min(level.power.size for level in levels), levels[0].seconds
+    seconds = levels[0].seconds
+    size = min(*(level.power.size for level in levels), int(top_hz * seconds) + 4)
     log_p = np.array([level.log_p(np.arange(size)) for level in levels])
     nats = np.clip(-log_p.min(axis=0) - np.log(len(levels)), 0.0, MAX_HARMONIC_NATS)
     nats[:3] = 0.0

@@ -20,6 +20,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects.places import orders
 from estimator.model.rig import Model
+from estimator.parallel import map_threads
 from estimator.results import Message
 
 from .combs import (
@@ -74,6 +75,18 @@ class Verdict:
     comb: Comb
 
 
+@dataclass(slots=True, kw_only=True)
+class _ChannelSearch:
+    """What the tables of one channel hold.
+
+    tables : number of tables. named : the clearest comb of each kinematic hypothesis. free : that at any order.
+    """
+
+    named: list[Comb | None]
+    free: Comb | None = None
+    tables: int = 0
+
+
 def kinematics_of(model: Model) -> list[Kinematic]:
     """What each defect of the rig's bearing would show; empty without geometry or a given ball-pass order."""
     if model.bearing is None:
@@ -106,24 +119,24 @@ def find_strikes(
     if speed is None:
         text = "strike trains are not looked for: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
         return [], [Message(NO_SPEED_NO_STRIKES, text)]
-    tables: list[LineTable] = []
     angle = tacho_angle(model, y, rate_hz)
     if angle is not None:
         speed = replace(speed, wander_rel=0.0)
-    avoided, avoided_sd = _avoided(speed)
-    for name, i in columns.items():
-        pieces = Pieces(np.asarray(y[:, i], dtype=np.float64), rate_hz, MAX_PIECE_S)
-        for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle):
-            tables += line_tables(name, spectrum, avoided, avoided_sd)
-    log_tables = float(np.log(max(len(tables), 1)))
-    limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))
+    known = speed
     kinds = kinematics_of(model)
-    trials = _named(tables, kinds, speed)
+
+    def searched(name: str) -> _ChannelSearch:
+        return _channel_search(name, Pieces(y[:, columns[name]], rate_hz, MAX_PIECE_S), known, kinds, bank, angle)
+
+    found = map_threads(searched, columns)
+    log_tables = float(np.log(max(sum(own.tables for own in found), 1)))
+    limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))
+    trials = _named(found, kinds)
     log_paid = log_tables + float(np.log(max(len(kinds), 1)))
     certain = [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
     if certain:
         return _reported(_ranked(certain, speed), speed, log_paid)
-    free = _free(tables, speed)
+    free = clearest([own.free for own in found])
     if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
         return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)
     return [], []
@@ -138,20 +151,41 @@ def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
     return hz, np.concatenate([k * sd_hz, MAINS_TOLERANCE_REL * mains])
 
 
-def _named(tables: Sequence[LineTable], kinds: Iterable[Kinematic], speed: ShaftSpeed) -> list[Verdict]:
+def _channel_search(
+    channel: str,
+    pieces: Pieces,
+    speed: ShaftSpeed,
+    kinds: Sequence[Kinematic],
+    bank: tuple[int, ...],
+    angle: Array | None,
+) -> _ChannelSearch:
+    """The search in the envelope spectra of one channel; of their tables only those of the clearest combs are kept."""
+    avoided, avoided_sd = _avoided(speed)
+    out = _ChannelSearch(named=[None] * len(kinds))
+    for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle):
+        for table in line_tables(channel, spectrum, avoided, avoided_sd):
+            out.tables += 1
+            out.named = [
+                clearest([best, _comb_of_kind(table, kind, speed)])
+                for best, kind in zip(out.named, kinds, strict=True)
+            ]  # fmt: skip
+            out.free = clearest([out.free, _free_comb(table, speed)])
+    return out
+
+
+def _comb_of_kind(table: LineTable, kind: Kinematic, speed: ShaftSpeed) -> Comb | None:
+    """The clearest comb of a kinematic hypothesis in one table."""
+    centre = kind.order * speed.hz
+    step = table.width / (GRID_PER_BIN * HARMONIC_COUNTS[-1] * table.spectrum.seconds)
+    half = max(1, int(np.ceil(_slip_reach(speed) * centre / step)))
+    grid: Array = np.asarray(centre + step * np.arange(-half, half + 1), dtype=np.float64)
+    return best_comb(table, grid, kind.sideband * speed.hz)
+
+
+def _named(found: Iterable[_ChannelSearch], kinds: Sequence[Kinematic]) -> list[Verdict]:
     """The clearest comb of every kinematic hypothesis that has one, clearest first."""
-    out = []
-    for kind in kinds:
-        centre = kind.order * speed.hz
-        combs = []
-        for table in tables:
-            step = table.width / (GRID_PER_BIN * HARMONIC_COUNTS[-1] * table.spectrum.seconds)
-            half = max(1, int(np.ceil(_slip_reach(speed) * centre / step)))
-            grid: Array = np.asarray(centre + step * np.arange(-half, half + 1), dtype=np.float64)
-            combs.append(best_comb(table, grid, kind.sideband * speed.hz))
-        best = clearest(combs)
-        if best is not None:
-            out.append(Verdict(kind=kind, comb=best))
+    best = [clearest(combs) for combs in zip(*(own.named for own in found), strict=True)]
+    out = [Verdict(kind=kind, comb=comb) for kind, comb in zip(kinds, best, strict=bool(best)) if comb is not None]
     return sorted(out, key=lambda v: v.comb.log_p - 1e-4 * v.comb.nats)
 
 
@@ -203,19 +237,16 @@ def _explained(comb: Comb, table: LineTable) -> float:
     return float(np.sum(depths**2))
 
 
-def _free(tables: Sequence[LineTable], speed: ShaftSpeed) -> Comb | None:
-    """The clearest comb at any order."""
+def _free_comb(table: LineTable, speed: ShaftSpeed) -> Comb | None:
+    """The clearest comb of one table at any order."""
     low, high = MIN_FREE_ORDER * speed.hz, MAX_FREE_ORDER * speed.hz
-    combs = []
-    for table in tables:
-        peaks = clear_peaks(table, low, len(FREE_DIVISORS) * high, FREE_PEAKS)
-        starts = np.unique(np.concatenate([peaks / q for q in FREE_DIVISORS]))
-        whole = np.maximum(np.rint(starts / speed.hz), 1.0) * speed.hz
-        near = np.abs(starts - whole) < MIN_FREE_DISTANCE_REL * whole + 1.0 / table.spectrum.seconds
-        starts = starts[(starts >= low) & (starts <= high) & ~near]
-        searched = GRID_PER_BIN * HARMONIC_COUNTS[-1] * (high - low) * table.spectrum.seconds / table.width
-        combs.append(best_comb(table, starts, searched=searched))
-    return clearest(combs)
+    peaks = clear_peaks(table, low, len(FREE_DIVISORS) * high, FREE_PEAKS)
+    starts = np.unique(np.concatenate([peaks / q for q in FREE_DIVISORS]))
+    whole = np.maximum(np.rint(starts / speed.hz), 1.0) * speed.hz
+    near = np.abs(starts - whole) < MIN_FREE_DISTANCE_REL * whole + 1.0 / table.spectrum.seconds
+    starts = starts[(starts >= low) & (starts <= high) & ~near]
+    searched = GRID_PER_BIN * HARMONIC_COUNTS[-1] * (high - low) * table.spectrum.seconds / table.width
+    return best_comb(table, starts, searched=searched)
 
 
 def _reported(

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from estimator.arrays import Array
-from estimator.identification.record import RecordSurvey
+from estimator.identification.record import RecordSurvey, moments
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message
 
@@ -48,7 +46,7 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
         Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name)
         for name in columns if name not in spectra
     ]  # fmt: skip
-    rms = {name: float(np.nanstd(y[:, columns[name]])) for name in spectra}
+    rms = {name: moments(y[:, columns[name]]).sd for name in spectra}
     units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed)
@@ -58,7 +56,13 @@ def survey_machine(model: Model, y: Array, rate_hz: float, record: RecordSurvey 
     tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
     shown, more = _shown(tones)
     return MachineSurvey(
-        speed=speed, tones=shown, strikes=tuple(strikes), messages=(*missing, *remarks, *struck, *more)
+        speed=speed,
+        tones=shown,
+        strikes=tuple(strikes),
+        messages=(*missing, *remarks, *struck, *more),
+        line_bands={
+            name: tuple(line.band for line in lines if line.channel == name and line.narrow) for name in spectra
+        },
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.model.rig import LineBand
 
 from .machine_survey import ShaftSpeed, StrikeTrain, Tone, ToneKind
 from .spectra import HANN_BIN_CORRELATION, LevelSpectrum
@@ -16,6 +17,7 @@ MAX_FALSE_TONE_CHANCE = 1e-3  # of one false line in a record
 MIN_DAMPING_RATIO = 1e-3  # of a structure; a peak narrower than its resonance is a line
 HANN_HALF_POWER_BINS = 1.44  # width of a line under a Hann window
 LOBE_BINS = 2  # on either side of the bin of a line that hold its power
+REACH_HALF_WIDTHS = 3.0  # of a band about a line, over the resolution that holds most of it
 EDGE_BINS = 3  # at 0 Hz and at half the rate in which no line is looked for
 MAX_LINES_PER_LEVEL = 400
 MAINS_HZ = (50.0, 60.0)
@@ -45,6 +47,28 @@ class Line:
     log_p: float
     power_ratio: float
     narrow: bool
+
+    @property
+    def band(self) -> LineBand:
+        """The band that holds the line, skirts of one that wanders included."""
+        reach = REACH_HALF_WIDTHS * self.half_width_hz
+        power = self.power_ratio * HANN_BIN_CORRELATION * self.half_width_hz
+        return LineBand(low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power)
+
+
+def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
+    """Bands of lines of several channels, rising, overlapping ones joined."""
+    out: list[LineBand] = []
+    for band in sorted(bands, key=lambda band: band.centre_hz):
+        if out and band.low_hz <= out[-1].high_hz:
+            last = out.pop()
+            band = LineBand(
+                low_hz=last.low_hz,
+                high_hz=max(band.high_hz, last.high_hz),
+                power_over_psd_hz=max(band.power_over_psd_hz, last.power_over_psd_hz),
+            )
+        out.append(band)
+    return out
 
 
 def significant_lines(spectra: Mapping[str, Sequence[LevelSpectrum]]) -> list[Line]:

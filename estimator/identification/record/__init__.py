@@ -1,5 +1,6 @@
 """Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
+from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
 from .spikes import spike_rows
@@ -14,6 +15,7 @@ __all__ = [
     "UsableRecord",
     "clipping_level",
     "level_parameter",
+    "moments",
     "pileup_p_value",
     "record_messages",
     "spike_rows",

@@ -12,10 +12,10 @@ from scipy.special import ndtri
 from estimator.arrays import Array
 from estimator.model.rig import MOTION_UNITS, Channel
 
-from .channel_summary import power_spectrum, stretches, velocity_rms
+from .channel_summary import Moments, finite_pieces, longest_stretch, power_spectrum, summarise
 from .clipping import clipping_level
-from .findings import CLIPPED_CODE, SPIKES_CODE, RecordFinding
-from .spikes import GAUSSIAN_MAD, spike_rows
+from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding
+from .spikes import robust_scale, spike_rows
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -30,10 +30,12 @@ class ChannelRecord:
     ----------
     channel : Channel
         The channel.
-    y : (n,) float64
+    y : (n,) float64 or float32
         Samples in SI units; NaN where one is missing.
     rate_hz : float
         Sampling rate, Hz.
+    moments : Moments
+        Of the finite samples.
     limits : Thresholds
         Limits of the checks.
     """
@@ -41,22 +43,18 @@ class ChannelRecord:
     channel: Channel
     y: Array
     rate_hz: float
+    moments: Moments
     limits: Thresholds = RECORD_THRESHOLDS
 
     @cached_property
-    def z(self) -> Array:
-        """(k,) the finite samples."""
-        return np.asarray(self.y[np.isfinite(self.y)])
+    def summary(self) -> ChannelSummary:
+        """What the user is told of the channel."""
+        return summarise(self.y, self.channel.kind, self.rate_hz, self.moments)
 
     @cached_property
-    def median(self) -> float:
-        """Median of the samples."""
-        return float(np.median(self.z))
-
-    @cached_property
-    def robust_sd(self) -> float:
-        """Standard deviation of a Gaussian signal with the median absolute deviation of the channel."""
-        return float(np.median(np.abs(self.z - self.median))) / GAUSSIAN_MAD
+    def robust(self) -> tuple[float, float]:
+        """Median, and standard deviation of a Gaussian signal with the median absolute deviation of the channel."""
+        return robust_scale(self.y)
 
     @property
     def unit(self) -> str:
@@ -100,7 +98,7 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
                 "absurd_values",
                 f"has {absurd} samples beyond {record.limits.max_value_si:g} {record.unit}, which are left out: check "
                 "its unit, its scale and its byte order",
-                usable=absurd < 0.01 * (absurd + record.z.size),
+                usable=absurd < 0.01 * (absurd + record.moments.count),
             )
         )
     if (dead := _dead(record)) is not None:
@@ -117,11 +115,11 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
 
 def _dead(record: ChannelRecord) -> RecordFinding | None:
     """A channel without samples, or of one value."""
-    if record.z.size < 2:
+    if record.moments.count < 2:
         return record.finding(
             "empty_channel", "has no valid samples: check its cable and its signal in the rig file", usable=False
         )
-    low, high = float(record.z.min()), float(record.z.max())
+    low, high = record.moments.low, record.moments.high
     if low < high:
         return None
     what = "is zero throughout" if low == 0.0 else f"is constant at {low:g} {record.unit} throughout"
@@ -137,13 +135,13 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
     first, stop = first[long], stop[long]
     if not first.size:
         return None
-    up = int(np.count_nonzero((y[1:] > record.median) & (y[:-1] <= record.median)))
-    moving = record.z.size - int(np.sum(stop - first))
+    up = int(np.count_nonzero((y[1:] > record.robust[0]) & (y[:-1] <= record.robust[0])))
+    moving = record.moments.count - int(np.sum(stop - first))
     period = max(moving, 1) / max(up, 1)
     frozen = [(int(a), int(b)) for a, b in zip(first, stop, strict=True) if b - a >= limits.min_frozen_periods * period]
     if not frozen:
         return None
-    share = sum(b - a for a, b in frozen) / record.z.size
+    share = sum(b - a for a, b in frozen) / record.moments.count
     a, b = max(frozen, key=lambda rows: rows[1] - rows[0])
     more = f" and {len(frozen) - 1} more times" if len(frozen) > 1 else ""
     return record.finding(
@@ -158,7 +156,7 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
 
 def _few_levels(record: ChannelRecord) -> RecordFinding | None:
     """A quantisation step that is coarse against the signal."""
-    part = record.z[:LEVELS_SAMPLES]
+    part = next(z for z in finite_pieces(record.y) if z.size)[:LEVELS_SAMPLES]
     levels = np.unique(part)
     if levels.size > 64:
         return None
@@ -181,12 +179,12 @@ def _spikes(record: ChannelRecord) -> Iterator[RecordFinding]:
     rows = spike_rows(record.y, record.limits)
     if not rows.size:
         return
-    top = int(rows[np.argmax(np.abs(record.y[rows] - record.median))])
+    top = int(rows[np.argmax(np.abs(record.y[rows] - record.robust[0]))])
     more = f", the largest of {rows.size}" if rows.size > 1 else ""
     yield record.finding(
         SPIKES_CODE,
         f"has a spike of {record.y[top]:.3g} {record.unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest "
-        f"has an rms of {record.robust_sd:.3g} {record.unit}: no vibration, left out; check the link and the cable",
+        f"has an rms of {record.robust[1]:.3g} {record.unit}: no vibration, left out; check the link and the cable",
         tuple((int(row), int(row) + 1) for row in rows),
     )
 
@@ -196,7 +194,7 @@ def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
     if record.channel.kind not in MOTION_UNITS or (found := clipping_level(record.y)) is None:
         return
     level, count = found
-    share, limits = count / record.z.size, record.limits
+    share, limits = count / record.moments.count, record.limits
     text = f"is clipped at +-{level:.3g} {record.unit} in {_per_cent(share)} of its samples"
     if share <= limits.max_clipped_share_bearing:
         yield record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
@@ -218,7 +216,7 @@ def _range_to_take(record: ChannelRecord, level: float, share: float) -> str:
 
 def _offset(record: ChannelRecord) -> Iterator[RecordFinding]:
     """A mean that no sensor at rest has."""
-    mean, sd, limits = float(np.mean(record.z)), float(np.std(record.z)), record.limits
+    mean, sd, limits = record.moments.mean, record.moments.sd, record.limits
     if record.channel.kind == "acceleration":
         if abs(mean) > limits.max_offset_m_s2 and abs(abs(mean) / STANDARD_GRAVITY**2 - 1.0) < limits.gravity_error_rel:
             yield record.finding(
@@ -243,19 +241,19 @@ def _offset(record: ChannelRecord) -> Iterator[RecordFinding]:
 
 def _wrong_unit(record: ChannelRecord) -> Iterator[RecordFinding]:
     """Values that no machine has. The median absolute deviation is asked where spikes would make the rms."""
-    kind, limits, sd = record.channel.kind, record.limits, float(np.std(record.z))
-    size = min(sd, 3.0 * record.robust_sd) if record.robust_sd > 0.0 else sd
+    kind, limits, sd = record.channel.kind, record.limits, record.moments.sd
+    size = min(sd, 3.0 * record.robust[1]) if record.robust[1] > 0.0 else sd
     what = ""
     if kind == "acceleration":
         if not limits.min_acceleration_rms <= size <= limits.max_acceleration_rms:
             what = f"an rms of {size:.3g} m/s^2 ({size / STANDARD_GRAVITY:.2g} g)"
-        elif (v := velocity_rms(record.y, kind, record.rate_hz) or 0.0) > limits.max_velocity_rms and size > 0.5 * sd:
+        elif (v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)) > limits.max_velocity_rms and size > 0.5 * sd:
             what = f"a velocity of {1e3 * v:.3g} mm/s rms from 10 to 1000 Hz"
     elif kind == "velocity":
         if not limits.min_velocity_rms_any <= size <= limits.max_velocity_rms:
             what = f"an rms of {1e3 * size:.3g} mm/s"
     elif kind == "displacement":
-        peak, follows = float(np.ptp(record.z)) / 2.0, _acceleration_of(record)
+        peak, follows = record.moments.span / 2.0, _acceleration_of(record)
         if size < limits.min_displacement_rms:
             what = f"an rms of {size:.3g} m"
         elif peak > limits.max_displacement_m and size > 0.5 * sd:
@@ -268,7 +266,7 @@ def _wrong_unit(record: ChannelRecord) -> Iterator[RecordFinding]:
 
 def _acceleration_of(record: ChannelRecord) -> float:
     """rms of the acceleration, m/s^2, of a displacement channel below a tenth of the rate: above that it is noise."""
-    longest = max((stop - first for first, stop in stretches(record.y)), default=0)
+    longest = longest_stretch(record.y)
     if longest < 64:
         return 0.0
     with np.errstate(over="ignore", invalid="ignore"):
@@ -283,7 +281,7 @@ def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
     if record.channel.kind not in MOTION_UNITS:
         return
     part = record.y[: 1 << 18]
-    inner = (part > record.z.min()) & (part < record.z.max())  # a clipped channel repeats its rails
+    inner = (part > record.moments.low) & (part < record.moments.high)  # a clipped channel repeats its rails
     step = np.abs(np.diff(np.where(inner, part, np.nan)))
     step = step[np.isfinite(step)]
     if step.size < 100:
@@ -310,12 +308,12 @@ def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
 
 def _empty_spectrum(record: ChannelRecord) -> Iterator[RecordFinding]:
     """A spectrum that holds not even the rounding of a converter above some frequency."""
-    longest = max((stop - first for first, stop in stretches(record.y)), default=0)
+    longest = longest_stretch(record.y)
     if longest < 1024 or record.channel.kind not in MOTION_UNITS:  # a force may be smooth
         return
     with np.errstate(over="ignore", invalid="ignore"):
         f, psd, _ = power_spectrum(record.y, record.rate_hz, min(4096, longest))
-        floor = (np.ptp(record.z) * 2.0**-record.limits.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
+        floor = (record.moments.span * 2.0**-record.limits.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
         full = np.flatnonzero(~(psd < floor))
     edge = float(f[full[-1]]) if full.size else 0.0
     if edge < record.limits.empty_spectrum_share * record.rate_hz:

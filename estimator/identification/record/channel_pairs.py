@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.fft import rfft
 
 from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION_UNITS
 
 from .channel_faults import ChannelRecord
-from .channel_summary import segments, stretches
+from .channel_summary import PIECE_ROWS, moments, segment_starts, segments, stretches
 from .findings import RecordFinding
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
@@ -24,6 +25,7 @@ UNIT_FACTORS = {  # between two units that are mixed up
     1e6: "a factor of 1e6, such as um for m",
 }
 SEGMENT_SAMPLES = 1024  # of the spectra of two channels
+MAX_SEGMENTS = 4096  # spread over the record
 MIN_SEGMENTS = 16  # a coherence of 0.8 from noise has p = 0.2^15
 LEVEL_PIECES = 40  # of the record, for the level against time
 
@@ -44,19 +46,23 @@ class PairSpectra:
         return np.abs(self.cross) ** 2 / np.where(both > 0.0, both, 1.0)
 
 
-def pair_spectra(a: Array, b: Array, rate_hz: float) -> PairSpectra | None:
-    """Spectra over the stretches that both channels have; None with too few segments. a, b : (n,)."""
-    longest = max((stop - first for first, stop in stretches(a + b)), default=0)
+def pair_spectra(
+    a: Array, b: Array, rate_hz: float, scales: tuple[float, float] = (1.0, 1.0)
+) -> PairSpectra | None:  # fmt: skip
+    """Spectra over the stretches that both channels (n,) have; None with too few segments. scales : they are over."""
+    both = np.isfinite(a) & np.isfinite(b)
+    longest = max((stop - first for first, stop in stretches(both)), default=0)
     size = min(SEGMENT_SAMPLES, 1 << max(longest, 1).bit_length() - 1)
     if size < 64:
         return None
     window = np.hanning(size + 1)[:-1]
     sums, count = np.zeros((3, size // 2 + 1), np.complex128), 0
-    both = np.isfinite(a + b)
-    for one, other in zip(*(segments(np.where(both, z, np.nan), size) for z in (a, b)), strict=True):
-        p, q = (np.fft.rfft((z - z.mean(axis=1, keepdims=True)) * window) for z in (one, other))
+    for starts in segment_starts(both, size, MAX_SEGMENTS):
+        p, q = (
+            rfft(segments(z, starts, size) * (window / scale), axis=1) for z, scale in zip((a, b), scales, strict=True)
+        )
         sums += np.stack([np.sum(p * p.conj(), 0), np.sum(q * q.conj(), 0), np.sum(p.conj() * q, 0)])
-        count += len(one)
+        count += starts.size
     if count < MIN_SEGMENTS:
         return None
     sums /= count
@@ -94,12 +100,12 @@ def find_pair_faults(
 
 def _spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
     """Spectra of two channels, each over its largest value."""
-    return pair_spectra(a.y / _scale(a), b.y / _scale(b), a.rate_hz)
+    return pair_spectra(a.y, b.y, a.rate_hz, (_scale(a), _scale(b)))
 
 
 def _scale(record: ChannelRecord) -> float:
     """A size of the channel, for powers that neither overflow nor vanish."""
-    return float(np.max(np.abs(record.z))) or 1.0
+    return max(record.moments.high, -record.moments.low) or 1.0
 
 
 def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable: tuple[str, ...] = ()) -> RecordFinding:
@@ -116,17 +122,11 @@ def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable:
 
 def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFinding | None:
     """The second channel as a copy of the first one, but for gain and offset."""
-    both = np.isfinite(a.y) & np.isfinite(b.y)
-    if np.count_nonzero(both) < 64:
+    share, factor = _residual_of_copy(a, b)
+    if share > limits.max_copy_residual_share:
         return None
-    p, q = a.y[both] / _scale(a), b.y[both] / _scale(b)
-    p, q = p - p.mean(), q - q.mean()
-    pp, qq, pq = float(p @ p), float(q @ q), float(p @ q)
-    if not pp * qq > 0.0 or 1.0 - pq * pq / (pp * qq) > limits.max_copy_residual_share:
-        return None
-    gain = pq / pp * _scale(b) / _scale(a)
-    residual = q - pq / pp * p
-    exact = float(residual @ residual) < 1e-12 * qq
+    gain = factor * _scale(b) / _scale(a)
+    exact = share < 1e-12
     if not exact:
         spectra = _spectra(a, b)
         if spectra is None or float(np.median(spectra.coherence)) < limits.min_copy_coherence:
@@ -142,6 +142,40 @@ def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFindi
         "the cables and the signals in the rig file",
         (other,),
     )
+
+
+def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]:
+    """Share of the power of the second channel that is not proportional to the first one, and the factor between them.
+
+    Each channel is over its largest value. Share 1 where fewer than 64 samples are common or one does not move.
+    """
+    total, products, means = 0, np.zeros((2, 2)), np.zeros(2)
+    for p, q in _common_pieces(a, b):
+        total += p.size
+        pieces = np.stack([p, q])
+        own, weight = pieces.mean(axis=1), p.size / total
+        products += (pieces - own[:, None]) @ (pieces - own[:, None]).T
+        products += np.outer(own - means, own - means) * p.size * (1.0 - weight)
+        means += (own - means) * weight
+    (pp, pq), (_, qq) = products
+    if total < 64 or not pp * qq > 0.0:
+        return 1.0, 0.0
+    factor = pq / pp
+    share = 1.0 - pq * pq / (pp * qq)
+    if share < 1e-9:  # rounding of sums: the residual itself is exact
+        share = sum(
+            float(np.sum((q - means[1] - factor * (p - means[0])) ** 2)) for p, q in _common_pieces(a, b)
+        ) / qq  # fmt: skip
+    return float(share), float(factor)
+
+
+def _common_pieces(a: ChannelRecord, b: ChannelRecord) -> Iterator[tuple[Array, Array]]:
+    """The samples that two channels both have, each over its largest value, some at a time."""
+    for first in range(0, len(a.y), PIECE_ROWS):
+        p, q = (np.asarray(r.y[first : first + PIECE_ROWS], np.float64) / _scale(r) for r in (a, b))
+        both = np.isfinite(p) & np.isfinite(q)
+        if both.any():
+            yield (p, q) if both.all() else (p[both], q[both])
 
 
 def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float], limits: Thresholds) -> list[RecordFinding]:
@@ -191,7 +225,7 @@ def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[R
     if len(records) < 2 or len(records[0].y) < 16 * LEVEL_PIECES:
         return []
     size = len(records[0].y) // LEVEL_PIECES
-    levels = np.array([_levels_db(r.y, size) for r in records])
+    levels = np.array([_levels_db(r.y, size, _scale(r)) for r in records])
     out = []
     for i, record in enumerate(records):
         others = np.delete(levels, i, axis=0)
@@ -214,17 +248,14 @@ def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[R
     return out
 
 
-def _levels_db(y: Array, size: int) -> Array:
-    """(LEVEL_PIECES,) level of each piece in dB; NaN where half of the samples are missing."""
-    pieces = y[: size * LEVEL_PIECES].reshape(LEVEL_PIECES, size)
-    there = np.isfinite(pieces)
-    count = np.maximum(there.sum(axis=1), 1)
-    filled = np.where(there, pieces, 0.0)
-    largest = float(np.max(np.abs(filled))) or 1.0
-    filled /= largest
-    mean = filled.sum(axis=1) / count
-    power = np.sum(np.where(there, filled - mean[:, None], 0.0) ** 2, axis=1) / count
-    return np.where(2 * count > size, 10.0 * np.log10(np.maximum(power, 1e-30)), np.nan)
+def _levels_db(y: Array, size: int, largest: float) -> Array:
+    """(LEVEL_PIECES,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
+    out = np.full(LEVEL_PIECES, np.nan)
+    for k in range(LEVEL_PIECES):
+        own = moments(y[k * size : (k + 1) * size])
+        if 2 * own.count > size:
+            out[k] = 20.0 * np.log10(max(own.sd / largest, 1e-15))
+    return out
 
 
 def _largest_step(level: Array) -> tuple[int, float]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from estimator.arrays import Array
 
@@ -13,93 +16,167 @@ from .findings import ChannelSummary
 ISO_BAND_HZ = (10.0, 1000.0)  # of the velocity, ISO 20816-1
 MIN_STRETCH_S = 1.0  # ten periods of the lower edge
 SEGMENT_S = 2.0  # of the spectrum that is integrated to velocity
+MAX_SEGMENTS = 256  # of an averaged spectrum, spread over the record: its random error is 6 %, of a band far less
+PIECE_ROWS = 1 << 18  # that are looked at together: nothing of the size of a record is made
 
 
-def stretches(y: Array) -> list[tuple[int, int]]:
-    """First row and row behind the last one of every stretch of finite samples. y : (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.isfinite(y), [False]])))
+def stretches(there: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First row and row behind the last one of every stretch of samples that are there. there : (n,)."""
+    edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def segments(y: Array, samples: int) -> Iterator[Array]:
-    """Segments of a channel (n,) that overlap by half, of its finite stretches, as arrays (up to 64, samples)."""
-    for first, stop in stretches(y):
-        if stop - first >= samples:
-            views = np.lib.stride_tricks.sliding_window_view(y[first:stop], samples)[:: max(samples // 2, 1)]
-            for at in range(0, len(views), 64):
-                yield views[at : at + 64]
+def longest_stretch(y: Array) -> int:
+    """Samples of the longest finite stretch of a channel (n,)."""
+    return max((stop - first for first, stop in stretches(np.isfinite(y))), default=0)
 
 
-def power_spectrum(y: Array, rate_hz: float, samples: int) -> tuple[Array, Array, int]:
+def finite_pieces(y: Array) -> Iterator[Array]:
+    """The finite samples of a channel (n,) in double precision, some at a time."""
+    for first in range(0, len(y), PIECE_ROWS):
+        part = np.asarray(y[first : first + PIECE_ROWS], np.float64)
+        there = np.isfinite(part)
+        yield part if there.all() else part[there]
+
+
+def segment_starts(there: NDArray[np.bool_], samples: int, most: int) -> Iterator[NDArray[np.intp]]:
+    """First rows of segments that overlap by half, some at a time; of more than `most` every second, third ... one.
+
+    there : (n,) whether a sample is there; no segment has one that is not.
+    """
+    step = max(samples // 2, 1)
+    starts = [np.arange(first, stop - samples + 1, step) for first, stop in stretches(there)]
+    every = np.concatenate(starts) if starts else np.zeros(0, np.intp)
+    every = every[:: max(1, -(-every.size // most))]
+    group = max(1, PIECE_ROWS // samples)
+    for at in range(0, every.size, group):
+        yield every[at : at + group]
+
+
+def segments(y: Array, starts: NDArray[np.intp], samples: int) -> Array:
+    """(starts, samples) segments of a channel (n,) in double precision, each less its mean."""
+    z: Array = np.stack([y[k : k + samples] for k in starts]).astype(np.float64, copy=False)
+    return np.asarray(z - z.mean(axis=1, keepdims=True))
+
+
+def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -> tuple[Array, Array, int]:
     """Averaged one-sided PSD of a channel over its finite stretches of at least so many samples.
 
     Parameters
     ----------
-    y : (n,) float64
+    y : (n,) float64 or float32
         Samples; NaN where one is missing.
     rate_hz : float
         Sampling rate, Hz.
     samples : int
-        Length of a segment; segments overlap by half and have a Hann window.
+        Length of a segment; segments have a Hann window, and overlap by half. A long record gives every second of
+        them, or fewer.
+    scale : float
+        By which the samples are divided.
 
     Returns
     -------
     tuple of (f,) float64, (f,) float64, int
-        Frequencies in Hz, PSD in the squared unit of `y` per Hz (zero without a segment), and number of segments.
+        Frequencies in Hz, PSD in the squared unit of `y` over `scale` per Hz (zero without a segment), and
+        number of segments.
     """
     window = np.hanning(samples + 1)[:-1]
     total, count = np.zeros(samples // 2 + 1), 0
-    for part in segments(y, samples):
-        transform = np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window)
+    for starts in segment_starts(np.isfinite(y), samples, MAX_SEGMENTS):
+        transform = rfft(segments(y, starts, samples) * (window / scale), axis=1)
         total += np.sum(transform.real**2 + transform.imag**2, axis=0)
-        count += len(part)
-    scale = 2.0 / (rate_hz * max(np.sum(window**2), 1.0) * max(count, 1))
-    return np.asarray(np.fft.rfftfreq(samples, 1.0 / rate_hz)), total * scale, count
+        count += starts.size
+    total *= 2.0 / (rate_hz * max(np.sum(window**2), 1.0) * max(count, 1))
+    return np.asarray(np.fft.rfftfreq(samples, 1.0 / rate_hz)), total, count
 
 
-def velocity_rms(y: Array, kind: str, rate_hz: float) -> float | None:
-    """Velocity from 10 to 1000 Hz in m/s rms; None where `ChannelSummary` says so. y : (n,) m/s^2 or m/s."""
+def velocity_rms(y: Array, kind: str, rate_hz: float, scale: float = 1.0) -> float | None:
+    """Velocity from 10 to 1000 Hz in m/s rms; None where `ChannelSummary` says so.
+
+    y : (n,) m/s^2 or m/s. scale : size of the samples: powers of numbers about 1 neither overflow nor vanish.
+    """
     if kind not in ("acceleration", "velocity") or rate_hz < 2.0 * ISO_BAND_HZ[1]:
         return None
-    longest = max((stop - first for first, stop in stretches(y)), default=0)
+    longest = longest_stretch(y)
     if longest < MIN_STRETCH_S * rate_hz:
         return None
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, SEGMENT_S * rate_hz)))
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, SEGMENT_S * rate_hz)), scale)
     inside = (f >= ISO_BAND_HZ[0]) & (f <= ISO_BAND_HZ[1])
     order = 2.0 if kind == "acceleration" else 0.0
     power = psd[inside] / (2.0 * np.pi * f[inside]) ** order
-    return float(np.sqrt(np.sum(power) * (f[1] - f[0])))
+    return float(np.sqrt(np.sum(power) * (f[1] - f[0]))) * scale
 
 
-def summarise(y: Array, kind: str, rate_hz: float) -> ChannelSummary:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moments:
+    """Number, extremes, mean, standard deviation, kurtosis and crest factor of the finite samples of a channel.
+
+    The crest factor is 0 where only rounding moves.
+    """
+
+    count: int
+    low: float
+    high: float
+    mean: float
+    sd: float
+    kurtosis: float = 0.0
+    crest: float = 0.0
+
+    @property
+    def span(self) -> float:
+        """Largest less smallest sample."""
+        return self.high - self.low
+
+
+def moments(y: Array) -> Moments:
+    """Moments of the finite samples of a channel (n,); zero where there are none."""
+    count, low, high = 0, np.inf, -np.inf
+    for z in finite_pieces(y):
+        count += z.size
+        if z.size:
+            low, high = min(low, float(z.min())), max(high, float(z.max()))
+    if not count:
+        return Moments(count=0, low=0.0, high=0.0, mean=0.0, sd=0.0)
+    scale = max(high, -low) or 1.0  # powers neither overflow nor vanish
+    mean = sum(float((z / scale).sum()) for z in finite_pieces(y)) / count
+    second = fourth = 0.0
+    for z in finite_pieces(y):
+        square = (z / scale - mean) ** 2
+        second += float(square.sum())
+        fourth += float(square @ square)
+    power = second / count
+    sd = float(np.sqrt(power))
+    own = Moments(count=count, low=low, high=high, mean=mean * scale, sd=sd * scale)
+    if sd < 1e-12:  # rounding of the mean of a constant
+        return own
+    peak = max(high / scale - mean, mean - low / scale)
+    return replace(own, kurtosis=fourth / count / power**2, crest=peak / sd)
+
+
+def summarise(y: Array, kind: str, rate_hz: float, own: Moments | None = None) -> ChannelSummary:
     """Summary of a channel.
 
     Parameters
     ----------
-    y : (n,) float64
+    y : (n,) float64 or float32
         Samples in SI units; NaN where a sample is missing.
     kind : str
         Kind of the channel, such as "acceleration".
     rate_hz : float
         Sampling rate, Hz.
+    own : Moments or None
+        Of these samples; None: they are computed.
     """
-    z = y[np.isfinite(y)]
-    if not z.size:
+    m = moments(y) if own is None else own
+    if not m.count:
         return ChannelSummary()
-    largest = float(np.max(np.abs(z)))
-    scale = largest if largest > 0.0 else 1.0
-    z = z / scale  # powers neither overflow nor vanish
-    z = z - z.mean()
-    square = z * z
-    power = float(np.mean(square))
-    peak = float(np.max(np.abs(z)))
-    if power < 1e-24:  # rounding of the mean of a constant
+    if not m.crest:
         return ChannelSummary(rms=0.0, peak=0.0)
-    velocity = velocity_rms(y / scale, kind, rate_hz)
+    velocity = velocity_rms(y, kind, rate_hz, max(m.high, -m.low))
     return ChannelSummary(
-        rms=float(np.sqrt(power) * scale),
-        peak=peak * scale,
-        crest=float(peak / np.sqrt(power)),
-        kurtosis=float(np.mean(square * square) / power**2),
-        velocity_rms_mm_s=None if velocity is None else 1e3 * velocity * scale,
+        rms=m.sd,
+        peak=max(m.high - m.mean, m.mean - m.low),
+        crest=m.crest,
+        kurtosis=m.kurtosis,
+        velocity_rms_mm_s=None if velocity is None else 1e3 * velocity,
     )

@@ -7,12 +7,30 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 
+from .channel_summary import PIECE_ROWS
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
 MIN_SAMPLES = 16  # for the robust standard deviation
+MAX_MEDIAN_SAMPLES = 1 << 20  # that a median is taken of
 MAX_SPIKE_SHARE = 0.01  # of the samples: more are no single samples
 NEIGHBOUR_ROWS = (-4, -3, -2, 2, 3, 4)  # distances; a spike may have two samples
+
+
+def robust_scale(y: Array) -> tuple[float, float]:
+    """Median of a channel (n,), and the standard deviation of a Gaussian with its median absolute deviation.
+
+    Of a long channel they are of samples drawn at random: their error is a thousandth of the deviation. NaN with fewer
+    than 16 finite samples.
+    """
+    if y.size > MAX_MEDIAN_SAMPLES:
+        y = y[np.random.default_rng(0).integers(0, y.size, MAX_MEDIAN_SAMPLES)]
+    z = y[np.isfinite(y)].astype(np.float64, copy=False)
+    if z.size < MIN_SAMPLES:
+        return np.nan, np.nan
+    centre = float(np.median(z))
+    with np.errstate(over="ignore"):
+        return centre, float(np.median(np.abs(z - centre))) / GAUSSIAN_MAD
 
 
 def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.intp]:
@@ -20,7 +38,7 @@ def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.i
 
     Parameters
     ----------
-    y : (n,) float64
+    y : (n,) float64 or float32
         Samples in any unit; NaN where one is missing.
     limits : Thresholds
         Limits of the checks.
@@ -30,24 +48,32 @@ def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.i
     (k,) int
         Empty where the channel has fewer than 16 samples, or half of them have one value.
     """
-    there = np.isfinite(y)
-    z = y[there]
-    if z.size < MIN_SAMPLES:
+    centre, sd = robust_scale(y)
+    if not 0.0 < sd < np.inf:
         return np.zeros(0, dtype=np.intp)
+    limit = limits.min_spike_sd * sd
     with np.errstate(over="ignore", invalid="ignore"):
-        centre = np.median(z)
-        sd = np.median(np.abs(z - centre)) / GAUSSIAN_MAD
-        if not 0.0 < sd < np.inf:
-            return np.zeros(0, dtype=np.intp)
-        size = np.where(there, np.abs(y - centre) / sd, 0.0)
-    rows = np.flatnonzero(size > limits.min_spike_sd)
+        rows = np.concatenate(
+            [
+                first + np.flatnonzero(np.abs(y[first : first + PIECE_ROWS] - centre) > limit)
+                for first in range(0, y.size, PIECE_ROWS)
+            ]
+        )
+        rows = rows[np.isfinite(y[rows])]
     if not rows.size or rows.size > max(MAX_SPIKE_SHARE * y.size, 2):
         return np.zeros(0, dtype=np.intp)
+
+    def size(at: NDArray[np.intp]) -> Array:
+        """Distance of some samples from the median in robust standard deviations; 0 where one is missing."""
+        own = np.asarray(y[at], np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.where(np.isfinite(own), np.abs(own - centre) / sd, 0.0)
+
     near = np.ones(rows.size)
     for shift in NEIGHBOUR_ROWS:
         at = rows + shift
         inside = (at >= 0) & (at < y.size)
-        near = np.maximum(near, np.where(inside, size[np.clip(at, 0, y.size - 1)], 0.0))
+        near = np.maximum(near, np.where(inside, size(np.clip(at, 0, y.size - 1)), 0.0))
     # at an end of the samples the neighbours on one side are unknown: a shock may begin there
     least = np.where((rows < 2) | (rows >= y.size - 2), limits.min_spike_ratio * limits.min_spike_sd, 0.0)
-    return rows[size[rows] > np.maximum(limits.min_spike_ratio * near, least)]
+    return np.asarray(rows[size(rows) > np.maximum(limits.min_spike_ratio * near, least)], dtype=np.intp)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from estimator.arrays import Array
+from estimator.arrays import Array, real_samples
 from estimator.model.rig import Channel, Model
 
 from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
-from .channel_summary import stretches, summarise
+from .channel_summary import moments, stretches
 from .findings import RecordFinding, RecordSurvey
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
@@ -23,7 +25,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     ----------
     model : Model
         The rig; its channels name the columns.
-    y : (n, channels) float64
+    y : (n, channels) float64 or float32
         Samples in SI units (tacho: any); NaN where a sample is missing. Any length.
     rate_hz : float
         Sampling rate, Hz.
@@ -38,21 +40,25 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     ----------
     Bendat and Piersol, Random Data, 4th ed., Wiley 2010, ch. 10 (data qualification); ISO 20816-1.
     """
-    y = np.asarray(y, np.float64)
+    y = real_samples(y)
     if y.ndim != 2 or y.shape[1] != len(model.channels) or not (np.isfinite(rate_hz) and rate_hz > 0.0):
         return RecordSurvey()  # no record of this rig: said by what uses it
     largest = RECORD_THRESHOLDS.max_value_si
-    records, found = [], []
+    records, found, summaries = [], [], {}
     for k, channel in enumerate(model.channels):
-        z = np.where(np.isfinite(y[:, k]), y[:, k], np.nan)
-        own = ChannelRecord(channel=channel, y=np.where(np.abs(z) > largest, np.nan, z), rate_hz=rate_hz)
-        found += find_channel_faults(own, int(np.count_nonzero(np.abs(z) > largest)))
-        records.append(own)
+        z = np.ascontiguousarray(y[:, k])  # read more than ten times
+        absurd = np.abs(z) > largest
+        if absurd.any():
+            z = np.where(absurd, np.nan, z)
+        own = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=moments(z))
+        found += find_channel_faults(own, int(np.count_nonzero(absurd & np.isfinite(y[:, k]))))
+        summaries[channel.name] = own.summary
+        records.append(own if absurd.any() else replace(own, y=y[:, k]))
     still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
     found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
     found += _missing(model.channels, y, rate_hz, still, RECORD_THRESHOLDS)
     return RecordSurvey(
-        channels={r.channel.name: summarise(r.y, r.channel.kind, rate_hz) for r in records},
+        channels=summaries,
         findings=tuple(found),
         unusable=frozenset(name for finding in found for name in finding.unusable),
     )
@@ -62,19 +68,20 @@ def _missing(
     channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set[str], limits: Thresholds
 ) -> list[RecordFinding]:
     """Missing samples: of one channel, and of all. Many short records in one have few between them."""
-    there = np.isfinite(y)
     moving = [k for k, channel in enumerate(channels) if channel.name not in still]
     if not moving or not len(y):
         return []
-    any_there = there[:, moving].any(axis=1)
+    there = [np.isfinite(y[:, k]) for k in moving]
+    any_there = np.any(there, axis=0)
+    total = int(np.count_nonzero(any_there))
     out = []
-    for k in moving:
-        share = float(np.mean(~there[any_there, k])) if any_there.any() else 0.0
+    for k, own in zip(moving, there, strict=True):
+        share = 1.0 - np.count_nonzero(own) / total if total else 0.0
         if share > limits.max_missing_share:
             name = channels[k].name
             text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"
             out.append(RecordFinding(code="missing_samples", channels=(name,), text=text, places=(channels[k].place,)))
-    spans = stretches(np.where(any_there, 0.0, np.nan))
+    spans = stretches(any_there)
     share = 1.0 - float(np.mean(any_there))
     if share > limits.max_missing_rows_share and len(spans) > 1:
         longest = max(stop - first for first, stop in spans)

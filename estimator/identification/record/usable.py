@@ -103,7 +103,7 @@ def without_spikes(model: Model, y: Array, survey: RecordSurvey) -> Array:
     spikes = [(names.index(f.channels[0]), f.rows) for f in survey.findings if f.code == SPIKES_CODE]
     if not spikes:
         return y
-    out = np.array(y, dtype=np.float64)
+    out = np.array(y)
     for k, rows in spikes:
         for first, stop in rows:
             out[first:stop, k] = np.nan

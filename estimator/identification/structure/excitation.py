@@ -16,7 +16,8 @@ from estimator.identification.machine.pieces import Pieces
 
 CELL_WIDTH_REL = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
 PIECES_PER_RECORD, SHORT_PIECES, SHORT_S = 8, 4, 10.0  # blocks of a record, and of one shorter than so many s
-MIN_PIECE_S = 0.05
+MIN_PIECE_S, MAX_PIECE_S = 0.05, 20.0  # of a block; a longer one resolves more than modes need
+MAX_BLOCKS = 16  # that are kept apart
 TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
 TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
 LINE_REACH_BINS = 25  # on either side of a bin, for the median about it
@@ -87,6 +88,7 @@ def cell_spectrum(
     """
     seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
     seconds = max(seconds / (SHORT_PIECES if seconds < SHORT_S else PIECES_PER_RECORD), MIN_PIECE_S)
+    seconds = min(seconds, MAX_PIECE_S)
     pieces = Pieces(y, rate_hz, max_seconds=seconds)
     high = min(band[1], 0.45 * rate_hz)
     if len(pieces) < 2 or band[0] * pieces.seconds < 4.0 or high < 1.2 * band[0]:
@@ -127,23 +129,23 @@ def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
     averaged over the tapers, and (blocks, bins) PSD of up to sixteen groups of pieces."""
     k = np.arange(1, TAPER_COUNT + 1)[:, None]
     tapers = np.sqrt(2.0 / (pieces.size + 1)) * np.sin(np.pi * k * np.arange(1, pieces.size + 1) / (pieces.size + 1))
-    rows = []
+    block_of = np.repeat(np.arange(MAX_BLOCKS), [len(g) for g in np.array_split(np.arange(len(pieces)), MAX_BLOCKS)])
+    blocks = np.zeros((min(len(pieces), MAX_BLOCKS), pieces.size // 2 + 1))
+    done = 0
     logs = np.zeros(pieces.size // 2 + 1)
     sums = np.zeros((TAPER_COUNT, pieces.size // 2 + 1))
     for group in pieces.groups():
-        own = np.zeros((len(group), pieces.size // 2 + 1))
         for total, taper in zip(sums, tapers, strict=True):
             X = rfft(group * taper, axis=1)
             P = X.real**2 + X.imag**2
-            own += P
+            np.add.at(blocks, block_of[done : done + len(group)], P)
             total += P.sum(axis=0)
             logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
-        rows.append(own * (2.0 / (pieces.rate_hz * TAPER_COUNT)))
-    every = np.concatenate(rows)
-    power = every.mean(axis=0)
+        done += len(group)
+    blocks *= 2.0 / (pieces.rate_hz * TAPER_COUNT)
+    power = blocks.sum(axis=0) / len(pieces)
     spread = np.log(np.maximum(sums / len(pieces), 1e-300)).mean(axis=0) - logs / (len(pieces) * TAPER_COUNT)
-    groups = np.array_split(np.arange(len(every)), min(len(every), 16))
-    return power, spread, np.stack([every[g].mean(axis=0) for g in groups])
+    return power, spread, blocks / np.bincount(block_of)[:, None]
 
 
 def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import real_samples
 from estimator.errors import DataError
 from estimator.model.rig import Model
 
@@ -26,9 +27,9 @@ def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def check_shape(model: Model, y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The record as (n, channels) float64. Raises DataError if it is none of this model."""
+    """The record as (n, channels) float64 or float32. Raises DataError if it is none of this model."""
     try:
-        y = np.asarray(y, dtype=np.float64)
+        y = real_samples(y)
     except ValueError as e:
         raise DataError("the channels are of unequal length: export them with a common start and end") from e
     if y.ndim != 2 or y.shape[1] != len(model.channels):
@@ -41,13 +42,14 @@ def check_shape(model: Model, y: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
-    """The record as (n, channels) float64. Raises DataError naming the channel and the remedy."""
+    """The record as (n, channels) float64 or float32. Raises DataError naming the channel and the remedy."""
     y = check_shape(model, y)
     if not np.isfinite(rate_hz) or rate_hz <= 0:
         raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
     for i, channel in enumerate(model.channels):
         if channel.kind != "tacho":
-            check_moves(channel.name, y[np.isfinite(y[:, i]), i])
+            there = np.isfinite(y[:, i])
+            check_moves(channel.name, y[:, i] if there.all() else y[there, i])
     for place in model.places:
         for key, sign in (("kL", "positive"), ("c", "positive")):
             setting = model.linear.get(place, {}).get(key)

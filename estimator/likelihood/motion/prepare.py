@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array, Series
+from estimator.arrays import Array, Series, real_samples
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
@@ -59,7 +59,7 @@ def motion_record(
     most_samples : of all places; of a longer record the first blocks of every time fold are kept. Raises DataError if
     fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
-    y = np.asarray(y, dtype=np.float64)
+    y = real_samples(y)
     places = model.places
     moving, shaken = _columns(model, y)
     columns = [*moving, *shaken.values()]
