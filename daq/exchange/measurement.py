@@ -50,7 +50,8 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
         from daq.log.reader import read_log
 
         log = read_log(path, part=replace(part, channels=()))
-        y, started, rate_hz, from_s = log.samples(rig, note, dtype=_dtype(log, rig)), log.started, log.rate_hz, log.from_s
+        y = log.samples(rig, note, dtype=_dtype(log, rig))
+        started, rate_hz, from_s = log.started, log.rate_hz, log.from_s
     else:
         from .checks import load
 
