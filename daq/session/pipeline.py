@@ -31,11 +31,12 @@ STALE_S = 10.0  # to finish with the estimator of a rate that the device has lef
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
 # What the pipeline itself says; a replay says it again, so it is not taken from the log.
 OWN_CODES = frozenset(
-    {"clipped", "no_estimate", "estimator_failed", "sink_failed", "rate_differs", "channels_by_order", "stopped_behind"}
+    {"clipped", "no_estimate", "estimator_failed", "sink_failed", "channels_by_order", "stopped_behind"}
     | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
     | {RECORD_FINDING}
 )
 
+RATE_UNTRUE = "rate_untrue"  # the rate is not that of the rig file, or not that of the device
 LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say that the log does not hold everything
 
 
@@ -98,6 +99,7 @@ class Pipeline:
         self.problems: list[str] = []
         self.lost_log = ""  # why the log does not hold everything
         self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
+        self._unlike_rig, self._told_rate = "", False  # of the device's rate: not said yet; the link has said it
         self.pending = False  # whether a sink has something to say still, as it was last heard
 
     @property
@@ -132,6 +134,15 @@ class Pipeline:
                 self._introduce(reading)
             batch += self._accept(reading)
         self._take(batch)
+        self._say_rate(readings)
+
+    def _say_rate(self, readings: Sequence[Reading]) -> None:
+        """That the rate is not that of the rig file, unless the link has said it with the description."""
+        if self._info is None:
+            return
+        text, told, self._unlike_rig, self._told_rate = self._unlike_rig, self._told_rate, "", False
+        if text and not told and not any(isinstance(r, Notice) and r.code == RATE_UNTRUE for r in readings):
+            self._say("warning", RATE_UNTRUE, text)
 
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
         """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
@@ -194,6 +205,7 @@ class Pipeline:
             if isinstance(reading, Notice):  # the log has to wait for the device, the operator has not
                 self._tell(reading)
                 self._told_early.append(reading)
+                self._told_rate = self._told_rate or reading.code == RATE_UNTRUE
             return []
         return self.ledger.accept(reading)
 
@@ -287,8 +299,9 @@ class Pipeline:
                 self.ledger.limit_to(round((limit_s - self._rate_since[1]) * info.rate_hz))
         expected = self._plan.rate_hz
         if expected is not None and abs(info.rate_hz / expected - 1.0) > 1e-3:
-            text = f"the device sends {info.rate_hz:g} Hz, the rig file says {expected:g} Hz"
-            self._say("warning", "rate_differs", text)
+            hz = f"{info.rate_hz:g}"
+            text = f"the device sends {hz} Hz, the rig file says {expected:g} Hz: {hz} Hz is used"
+            self._unlike_rig = f"{text}; set acquisition.rate_hz = {hz}"
         if first:
             self._watch.begin()
             plan = self._plan

@@ -1,6 +1,6 @@
 """The driver contract: readings, notices, errors, the link base class."""
 
-from .errors import LinkError, LinkOpenError
+from .errors import BusError, LinkError, LinkOpenError
 from .link import Event, Link
 from .link_config import CaptureConfig, ReplayConfig, VirtualConfig
 from .patient import Patient
@@ -8,6 +8,7 @@ from .reading import Block, Driver, Gap, Info, LinkStats, Notice, Reading, Signa
 
 __all__ = [
     "Block",
+    "BusError",
     "CaptureConfig",
     "Driver",
     "Event",

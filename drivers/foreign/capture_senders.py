@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.can.can_frames import CanFrames
-from drivers.contract.errors import LinkOpenError
+from drivers.contract.errors import BusError, LinkOpenError
 
 from .capture_batches import Batch
 
@@ -21,6 +21,7 @@ class Senders:
     def __init__(self, target: str, bus: str | None, wanted: Callable[[CanFrames], NDArray[np.bool_]]) -> None:
         self.seen = 0  # frames of the device
         self._target, self._bus, self._wanted = target, bus, wanted
+        self._file = target.partition(":")[2]
         self._names: tuple[str, ...] = ()
         self._of_bus: dict[str, int] = {}  # frames of the device
         self._sent: list[NDArray[np.uint8]] = []
@@ -49,14 +50,12 @@ class Senders:
         """Raises LinkOpenError where the samples of two buses, or of two senders, would be mixed."""
         if self._bus is not None and self._bus not in self._names:
             has = ", ".join(self._names) or "no frames"
-            raise LinkOpenError(
-                f"{self._target}: there is no bus {self._bus} in it: it has {has}; write ?bus= with that"
-            )
+            what = f"{self._target}: there is no bus {self._bus} in it: it has {has}"
+            raise BusError(what, self._file, tuple(self._of_bus) or self._names)
         if len(self._of_bus) > 1:
             counts = ", ".join(f"{n} on bus {name}" for name, n in self._of_bus.items())
-            ways = " or ".join(f"?bus={name}" for name in self._of_bus)
-            text = f"frames of the device are on several buses ({counts}): choose one, {ways} behind the name in --link"
-            raise LinkOpenError(f"{self._target}: {text}")
+            what = f"{self._target}: frames of the device are on several buses ({counts})"
+            raise BusError(what, self._file, tuple(self._of_bus))
         self._chosen = self._bus or next(iter(self._of_bus), None)
         sent, received = np.concatenate(self._sent), np.concatenate(self._received)
         self._sent, self._received = [], []

@@ -67,7 +67,7 @@ def _twice(message: Message, frames: CanFrames) -> Finding | None:
             ms = float(np.median(steps[pairs])) / 1e6
             text = (
                 f"each frame of {message.label} comes twice, {ms:.3g} ms apart: the echo of frames that this host sent "
-                "itself, or one bus recorded on two channels: record each frame once, or choose one with ?bus="
+                "itself, or one bus recorded on two channels under one name: record each frame once"
             )
             return Finding("error", "frames_twice", text, fatal=True)
     return None
@@ -92,7 +92,7 @@ def _interleaved(message: Message, t_ns: I64Array, period: Period | None, nomina
     apart = " and ".join(f"{each / 1e6:.3g}" for each in sorted(set(middles.tolist())))
     text = (
         f"frames of {message.label} come {times} times as often as the rate of the rig file says, {apart} ms apart by "
-        f"turns: {times} devices of one identifier, or frames and their echo: choose one with ?bus=, or one sender"
+        f"turns: {times} devices of one identifier, or frames and their echo: record one of them, each frame once"
     )
     return Finding("error", "interleaved", text, fatal=True)
 

@@ -1,5 +1,5 @@
 """A link's name turned into a driver."""
 
-from .links import make_driver, parse_link
+from .links import capture_file, make_driver, parse_link
 
-__all__ = ["make_driver", "parse_link"]
+__all__ = ["capture_file", "make_driver", "parse_link"]

@@ -77,6 +77,11 @@ def _query(kind: str, rest: str) -> tuple[str, str]:
     return (name, query) if mark else (rest, "")
 
 
+def capture_file(name: str) -> str:
+    """The path in FILE or FILE?bus=..."""
+    return _query("capture", name)[0]
+
+
 def make_driver(
     config: LinkConfig,
     *,

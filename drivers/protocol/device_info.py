@@ -153,7 +153,7 @@ class DeviceInfo:
         rate, names = self._expected.rate_hz, tuple(signal.name for signal in info.signals)
         if rate is not None and abs(info.rate_hz - rate) > 1e-6 * rate:
             text = f"the device says {info.rate_hz:g} Hz, the rig file {rate:g} Hz: set acquisition.rate_hz"
-            self._notices.add(t_host_ns, "error", "rate_mismatch", text)
+            self._notices.add(t_host_ns, "error", "rate_untrue", text)
         if self._expected.channels and names != self._expected.channels:
             text = f"the device has channels {', '.join(names)}, the rig file {', '.join(self._expected.channels)}"
             self._notices.add(t_host_ns, "warning", "channels_mismatch", text)

@@ -19,7 +19,8 @@ def import_(
     file: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC."
+            metavar="FILE...",
+            help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC (?bus=N of several).",
         ),
     ],
     rig: RigOption,

@@ -9,6 +9,7 @@ come near to the others is refused.
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -31,8 +32,9 @@ from daq.exchange.measurement import findings
 from daq.rig.edit import of_channels
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI_UNIT
-from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
+from drivers.contract import Block, BusError, Gap, Info, LinkOpenError, Notice, Reading, Signal
 from drivers.foreign import CAPTURE_SUFFIXES
+from drivers.links import capture_file
 
 BLOCK_ROWS = 8192  # in a block
 COUNT_BITS = 32
@@ -52,11 +54,16 @@ def import_files(
     for path in paths:
         if out.resolve() == path.resolve():
             raise LogError(f"{out}: is the file to import; choose another name for the log")
-    captures = [path for path in paths if _is_capture(path, rig)]
+    captures = [path for path in paths if _is_capture(Path(capture_file(str(path))), rig)]
     if captures and len(paths) > 1:
         raise LogError(f"{captures[0]}: CAN traffic is imported one file at a time; give each a log of its own")
     if captures:
-        _import_capture(output, captures[0], rig, out, part)
+        try:
+            _import_capture(output, captures[0], rig, out, part)
+        except BusError as error:
+            rest = shlex.join(["--rig", str(rig_path), "--out", str(out)])
+            ways = " or ".join(f"rotorscope import {shlex.quote(name)} {rest}" for name in error.choices)
+            raise LinkOpenError(f"{error.what}; choose one: {ways}" if ways else error.what) from error
         return
     found: list[Notice] = []  # for the log, too: whoever has only that is to know
 
@@ -98,12 +105,13 @@ def _is_capture(path: Path, rig: Rig) -> bool:
 
 
 def _import_capture(output: Output, path: Path, rig: Rig, out: Path, part: Part) -> None:
-    """Recorded CAN traffic goes through the driver and the pipeline that live traffic takes."""
+    """Recorded CAN traffic goes through the driver and the pipeline of live traffic. path : with or without ?bus=."""
     from daq.commands.live.run import run_rig
 
-    if not path.is_file():
+    file = Path(capture_file(str(path)))
+    if not file.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
-    with bounded_memory(path.stat().st_size):  # what cannot be unpacked in it is damage of the file
+    with bounded_memory(file.stat().st_size):  # what cannot be unpacked in it is damage of the file
         run_rig(output, rig, f"capture:{path}", out, command="import", part=part)
 
 

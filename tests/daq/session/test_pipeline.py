@@ -164,7 +164,7 @@ def test_a_new_rate_begins_anew() -> None:
     fast, slow = INFO, replace(INFO, rate_hz=6400.0)
     _, sink = run([[fast, vibration(0, 30_000)], [slow, vibration(30_000, 30_000)]])
     assert slow in sink.delivered
-    assert [r.code for r in sink.delivered if isinstance(r, Notice)] == ["rate_differs"]
+    assert [r.code for r in sink.delivered if isinstance(r, Notice)] == ["rate_untrue"]
     indices = [e.index for e in sink.of("estimate")]  # type: ignore[attr-defined]
     assert indices[:2] == [12_288, 24_576]
     assert np.diff(indices[2:-1]).max() <= 3200
@@ -373,6 +373,14 @@ def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link:
     said = [r.text for r in sink.delivered if isinstance(r, Notice) and r.code == "rate_untrue"]
     assert len(said) == told
     assert all(f"come at {INFO.rate_hz * true:.6g} Hz by this computer's clock" in text for text in said)
+
+
+def test_a_rate_that_the_link_has_told_is_not_told_again() -> None:
+    slow, told = replace(INFO, rate_hz=6400.0), Notice(1, "error", "rate_untrue", "the device says 6400 Hz")
+    data = vibration(0, 3000)
+    for batches in ([[slow, data, told]], [[told, slow, data]], [[told], [slow, data]]):
+        _, sink = run(batches)
+        assert [r for r in sink.delivered if isinstance(r, Notice)] == [told]
 
 
 def test_a_device_without_the_rigs_channels_is_all_that_is_said() -> None:

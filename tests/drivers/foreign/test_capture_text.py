@@ -113,7 +113,8 @@ def test_what_it_is_and_what_to_do_is_said(lines: list[str], text: str, tmp_path
 
 def test_two_buses_are_refused_and_one_is_read(tmp_path: Path) -> None:
     both = [line for one in PLAIN for line in (one, one.replace("can0", "can1"))]
-    with pytest.raises(LinkOpenError, match=r"\?bus=can0 or \?bus=can1"):
+    choices = r"choose one: --link 'capture:.*\?bus=can0' or --link 'capture:.*\?bus=can1'$"
+    with pytest.raises(LinkOpenError, match=choices):
         read(tmp_path / "a.log", both)
     assert samples(read(tmp_path / "a.log", both, "can1")).tolist() == list(K)
     with pytest.raises(LinkOpenError, match="no bus 1 in it: it has can0, can1"):

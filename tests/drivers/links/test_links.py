@@ -110,5 +110,5 @@ def test_a_device_other_than_expected_is_told() -> None:
     record = Record()
     frames = ramp_device("serial16").next(2)
     record.take(decoder.feed(b"".join(cobs.encode(frame.data) for frame in frames), 0))
-    assert record.codes() == {"rate_mismatch", "channels_mismatch"}
+    assert record.codes() == {"rate_untrue", "channels_mismatch"}
     assert "acquisition.rate_hz" in record.notices[0].text

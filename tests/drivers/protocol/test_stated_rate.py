@@ -52,7 +52,7 @@ def test_an_untrue_rate_is_told_and_the_true_one_used(layout: str, said_hz: floa
     assert [info.rate_hz for info in record.infos] == [rig_hz]
     assert not record.gaps
     assert record.samples > 1200
-    assert {"stated_rate"} <= record.codes() <= {"stated_rate", "rate_mismatch"}
+    assert {"stated_rate"} <= record.codes() <= {"stated_rate", "rate_untrue"}
 
 
 @pytest.mark.parametrize("layout", ["fd16", "serial16"])
@@ -69,4 +69,4 @@ def test_a_true_rate_is_used_whatever_the_rig_file_says(layout: str, rig_hz: flo
     assert [info.rate_hz for info in record.infos] == [2560.0]
     assert not record.gaps
     assert record.offset == 0
-    assert record.codes() == (set() if rig_hz != 2500.0 else {"rate_mismatch"})
+    assert record.codes() == (set() if rig_hz != 2500.0 else {"rate_untrue"})
