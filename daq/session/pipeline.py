@@ -36,7 +36,6 @@ OWN_CODES = frozenset(
     | {RECORD_FINDING}
 )
 
-RATE_UNTRUE = "rate_untrue"  # the rate is not that of the rig file, or not that of the device
 LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say that the log does not hold everything
 
 
@@ -99,7 +98,6 @@ class Pipeline:
         self.problems: list[str] = []
         self.lost_log = ""  # why the log does not hold everything
         self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
-        self._unlike_rig, self._told_rate = "", False  # of the device's rate: not said yet; the link has said it
         self.pending = False  # whether a sink has something to say still, as it was last heard
 
     @property
@@ -134,15 +132,8 @@ class Pipeline:
                 self._introduce(reading)
             batch += self._accept(reading)
         self._take(batch)
-        self._say_rate(readings)
-
-    def _say_rate(self, readings: Sequence[Reading]) -> None:
-        """That the rate is not that of the rig file, unless the link has said it with the description."""
-        if self._info is None:
-            return
-        text, told, self._unlike_rig, self._told_rate = self._unlike_rig, self._told_rate, "", False
-        if text and not told and not any(isinstance(r, Notice) and r.code == RATE_UNTRUE for r in readings):
-            self._say("warning", RATE_UNTRUE, text)
+        if self._info is not None:
+            self._watch.rate_of_rig(readings)
 
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
         """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
@@ -205,7 +196,7 @@ class Pipeline:
             if isinstance(reading, Notice):  # the log has to wait for the device, the operator has not
                 self._tell(reading)
                 self._told_early.append(reading)
-                self._told_rate = self._told_rate or reading.code == RATE_UNTRUE
+                self._watch.heard(reading)
             return []
         return self.ledger.accept(reading)
 
@@ -297,11 +288,7 @@ class Pipeline:
             limit_s = self._plan.limit_s
             if limit_s is not None:
                 self.ledger.limit_to(round((limit_s - self._rate_since[1]) * info.rate_hz))
-        expected = self._plan.rate_hz
-        if expected is not None and abs(info.rate_hz / expected - 1.0) > 1e-3:
-            hz = f"{info.rate_hz:g}"
-            text = f"the device sends {hz} Hz, the rig file says {expected:g} Hz: {hz} Hz is used"
-            self._unlike_rig = f"{text}; set acquisition.rate_hz = {hz}"
+        self._watch.introduced(info.rate_hz, self._plan.rate_hz)
         if first:
             self._watch.begin()
             plan = self._plan

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from daq.base.contract.clock import MAX_CRYSTAL_ERROR_REL, Clock, DeviceClock
 from daq.base.contract.sink import ClockState
-from drivers.contract import Gap
+from drivers.contract import Gap, Notice, Reading
 
 EVERY_NS = 10_000_000_000  # what goes on and on is told this often
 WALL_STEP_NS = 500_000_000
 STILL_NS = 5_000_000_000
+SAME_RATE_REL = 1e-3  # between the rate of a device and that of the rig file
+RATE_UNTRUE = "rate_untrue"  # code: the rate is not that of the rig file, or not that of the device
 WORD_OF_REASON = {  # reasons of gaps that no driver has a notice for
     "sequence": "on the way",
     "device_lost": "by the device itself",
@@ -31,6 +33,7 @@ class Watch:
         self._overflow_ns = self._lost_ns = now - EVERY_NS
         self._lost: dict[str, int] = {}  # samples by reason, untold
         self._rate_told = False
+        self._unlike_rig, self._heard_rate = "", False  # of the rig file's rate: not said yet; the link has said it
 
     def begin(self) -> None:
         """The log begins."""
@@ -69,6 +72,22 @@ class Watch:
             text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log do not jump"
             self._say("warning", "wall_clock_set", text)
 
+    def heard(self, notice: Notice) -> None:
+        """Of a link that has not said yet what its device is."""
+        self._heard_rate = self._heard_rate or notice.code == RATE_UNTRUE
+
+    def introduced(self, rate_hz: float, expected_hz: float | None) -> None:
+        """A description of the device; expected_hz : of the rig file."""
+        if expected_hz is not None and abs(rate_hz / expected_hz - 1.0) > SAME_RATE_REL:
+            text = f"the device sends {rate_hz:g} Hz, the rig file says {expected_hz:g} Hz: {rate_hz:g} Hz is used"
+            self._unlike_rig = f"{text}; set acquisition.rate_hz = {rate_hz:g}"
+
+    def rate_of_rig(self, readings: Sequence[Reading]) -> None:
+        """That the rate is not that of the rig file, unless the link says it with the description of the device."""
+        text, heard, self._unlike_rig, self._heard_rate = self._unlike_rig, self._heard_rate, "", False
+        if text and not heard and not any(isinstance(r, Notice) and r.code == RATE_UNTRUE for r in readings):
+            self._say("warning", RATE_UNTRUE, text)
+
     def rate(self, device: DeviceClock, state: ClockState | None) -> None:
         """Once in a session: what the device counts as a second is none. state : what is stated of its clock now."""
         if self._rate_told or (state is not None and abs(state.drift_ppm) < 1e6 * MAX_CRYSTAL_ERROR_REL):
@@ -78,7 +97,7 @@ class Watch:
             self._rate_told = True
             text = f"samples come at {true_hz:.6g} Hz by this computer's clock, not at {device.rate_hz:g} Hz"
             more = "frequencies are wrong by as much, stiffness by twice that; correct the rate in device or rig file"
-            self._say("warning", "rate_untrue", f"{text}: {more}")
+            self._say("warning", RATE_UNTRUE, f"{text}: {more}")
 
     def overflow(self, dropped: int, final: bool) -> None:
         """At once, then every ten seconds while it goes on: the gaps themselves come when the core loop gets there."""
