@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+LONG_RECORD_BYTES = 1 << 27  # 150 s of four channels at 25.6 kHz: of shorter ones new memory costs more than it saves
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -16,3 +20,13 @@ def real_samples(y: Any) -> Array:
     """An array in double precision, or in single precision if it comes so: a long record is not copied."""
     z: Array = np.asarray(y)
     return z if z.dtype in (np.float32, np.float64) else z.astype(np.float64)
+
+
+def return_freed_memory(y: Array) -> None:
+    """Return memory that earlier steps have freed to the system (glibc only), where a record is long.
+
+    What is left of a heap between arrays of different sizes is otherwise half as much again as what is in use.
+    """
+    if y.nbytes > LONG_RECORD_BYTES:
+        with suppress(AttributeError, OSError):
+            ctypes.CDLL(None).malloc_trim(0)

@@ -34,9 +34,7 @@ Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
-def fit(
-    output: Output, log: Path, rig_path: Path, method: Method, out: Path | None, part: Part = WHOLE_RECORD
-) -> None:
+def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | None, part: Part = WHOLE_RECORD) -> None:
     if out is not None:
         spare(out)
     rig, data = given(output, log, rig_path, part=part)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from estimator.arrays import Array
+from estimator.arrays import Array, return_freed_memory
 from estimator.errors import DataError
 from estimator.model.rig import MOTION_UNITS, Model
 
@@ -39,7 +39,9 @@ def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
     record = survey_record(model, y, rate_hz)
     y = without_spikes(model, y, record)
     machine = survey_machine(model, y, rate_hz, record)
+    return_freed_memory(y)
     structure = survey_structure(model, y, rate_hz, record, machine)
+    return_freed_memory(y)
     return Layers(record=record, machine=machine, structure=structure)
 
 

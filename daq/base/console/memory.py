@@ -12,8 +12,9 @@ from pathlib import Path
 MAX_FREE_SHARE = 0.5  # of the memory that is free
 LEAST_BYTES, FILE_SIZE_FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
 UNKNOWN_BYTES = 4 << 30  # free memory where the system does not say
-# of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 256 MiB
-ARENA_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD = (-8, 1), (-1, 1 << 30), (-3, 256 << 20)
+# of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 32 MiB:
+# larger ones are whole channels of a long record, and would leave holes
+ARENA_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD = (-8, 1), (-1, 1 << 30), (-3, 32 << 20)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from estimator.arrays import Array
+from estimator.arrays import Array, return_freed_memory
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
@@ -57,6 +57,7 @@ def survey_bearing(
     more : callables
         Further questions.
     """
+    return_freed_memory(y)
     part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
     found, findings, *answers = missing_force.survey_with(part, model, lambda: search(model, point, y), *more)
     return BearingSurvey(part=part, missing=found, findings=tuple(findings)), *answers

@@ -55,7 +55,8 @@ class Pieces:
         for first in range(0, len(self.starts), step):
             starts = self.starts[first : first + step]
             rows = np.stack([self._samples[s : s + self.size] for s in starts]).astype(np.float64, copy=False)
-            yield rows - rows.mean(axis=1, keepdims=True)
+            rows -= rows.mean(axis=1, keepdims=True)
+            yield rows
 
 
 def finite_runs(samples: Array) -> NDArray[np.intp]:
@@ -65,7 +66,9 @@ def finite_runs(samples: Array) -> NDArray[np.intp]:
 
 def _true_runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """(runs, 2) first row and row after the last of each run of true rows."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    if mask.size and mask.all():
+        return np.array([[0, mask.size]], dtype=np.intp)
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges.reshape(-1, 2).astype(np.intp)
 
 

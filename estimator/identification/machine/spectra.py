@@ -101,8 +101,9 @@ def _level(pieces: Pieces, size: int) -> LevelSpectrum:
     total, logs, count = np.zeros(bins), np.zeros(bins if several else 0), 0
     for group in pieces.groups():
         cut = group[:, : group.shape[1] // size * size].reshape(-1, size)
-        cut = cut - cut.mean(axis=1, keepdims=True)
-        X = rfft(cut * window, axis=1)
+        cut -= cut.mean(axis=1, keepdims=True)
+        cut *= window
+        X = rfft(cut, axis=1)
         P = X.real**2 + X.imag**2
         total += P.sum(axis=0)
         if several:

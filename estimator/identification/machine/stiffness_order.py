@@ -27,6 +27,7 @@ from .lines import FALSE_LINE_CHANCE, NOISE_MARGIN_REL
 
 MIN_ORDER, MAX_ORDER = 0.3, 30.0  # of the shaft, searched
 FLOOR_BINS = 200  # of the padded spectrum on either side, whose median is the floor
+MAX_BINS_AT_ONCE = 1 << 21  # of a padded spectrum, of which two are made at once
 MIN_PADDING = 4  # bins of the padded spectrum for one of the record
 
 
@@ -107,15 +108,14 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
     turned = (data.phase - data.phase[0]) / data.speed  # s, at the mean speed: a line of the shaft's stays one
     rows = np.rint(turned * data.rate_hz).astype(np.int64) // thin
     size = next_fast_len(MIN_PADDING * (int(rows[-1]) + 1), real=True)
-    f = np.fft.rfftfreq(size, thin / data.rate_hz)
+    looked = min(size // 2 + 1, int(MAX_ORDER * rotation * size * thin / data.rate_hz) + 2 * FLOOR_BINS)  # bins
+    f = np.arange(looked) / (size * thin / data.rate_hz)
     seconds = float(data.t[-1] - data.t[0])
     usable = (f > max(MIN_ORDER * rotation, 10.0 / seconds)) & (f < MAX_ORDER * rotation)
     for k in (1.0, 2.0):
         usable &= np.abs(f - k * rotation) > 3.0 / seconds
     if not usable.any():
         return None
-    looked = int(np.flatnonzero(usable)[-1]) + 2 * FLOOR_BINS  # bins
-    usable = usable[:looked]
 
     def clearest(i: int) -> tuple[float, float]:
         """Gain (nats) and frequency (Hz) of the highest line at location i."""
@@ -124,11 +124,15 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
-        nats = power / local_noise(power, FLOOR_BINS)
-        k = int(np.argmax(np.where(usable, nats, 0.0)))
+        nats = local_noise(power, FLOOR_BINS)
+        np.divide(power, nats, out=nats)
+        nats[~usable] = 0.0
+        k = int(np.argmax(nats))
         return float(nats[k]), float(f[k] + _peak_offset_bins(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
-    nats, hz = max(map_threads(clearest, range(len(data.places))))
+    places = range(len(data.places))
+    found = map_threads(clearest, places) if size <= MAX_BINS_AT_ONCE else [clearest(i) for i in places]  # memory
+    nats, hz = max(found)
     if nats < NOISE_MARGIN_REL * np.log(np.count_nonzero(usable) * len(data.places) / FALSE_LINE_CHANCE):
         return None
     return StiffnessOrder(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)

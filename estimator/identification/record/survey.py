@@ -47,13 +47,17 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     records, found, summaries = [], [], {}
     for k, channel in enumerate(model.channels):
         z = np.ascontiguousarray(y[:, k])  # read more than ten times
-        absurd = np.abs(z) > largest
-        if absurd.any():
-            z = np.where(absurd, np.nan, z)
-        own = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=moments(z))
-        found += find_channel_faults(own, int(np.count_nonzero(absurd & np.isfinite(y[:, k]))))
-        summaries[channel.name] = own.summary
-        records.append(own if absurd.any() else replace(own, y=y[:, k]))
+        own = moments(z)
+        absurd = 0
+        if max(own.high, -own.low) > largest or own.count + np.count_nonzero(np.isnan(z)) < len(z):
+            wrong = np.abs(z) > largest
+            absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
+            z = np.where(wrong, np.nan, z)
+            own = moments(z)
+        one = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=own)
+        found += find_channel_faults(one, absurd)
+        summaries[channel.name] = one.summary
+        records.append(one if absurd else replace(one, y=y[:, k]))
     still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
     found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
     found += _missing(model.channels, y, rate_hz, still, RECORD_THRESHOLDS)
@@ -71,12 +75,15 @@ def _missing(
     moving = [k for k, channel in enumerate(channels) if channel.name not in still]
     if not moving or not len(y):
         return []
-    there = [np.isfinite(y[:, k]) for k in moving]
-    any_there = np.any(there, axis=0)
+    any_there, counts = np.zeros(len(y), bool), []
+    for k in moving:
+        there = np.isfinite(y[:, k])
+        counts.append(int(np.count_nonzero(there)))
+        any_there |= there
     total = int(np.count_nonzero(any_there))
     out = []
-    for k, own in zip(moving, there, strict=True):
-        share = 1.0 - np.count_nonzero(own) / total if total else 0.0
+    for k, count in zip(moving, counts, strict=True):
+        share = 1.0 - count / total if total else 0.0
         if share > limits.max_missing_share:
             name = channels[k].name
             text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array, Series, real_samples
+from estimator.arrays import Array, Series, real_samples, return_freed_memory
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
@@ -35,6 +35,7 @@ MAX_SAMPLES = 6e6
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
     """Motion record of y (n, channels), SI, at most MAX_SAMPLES of it. Raises DataError as `motion_record` does."""
+    return_freed_memory(y)
     return motion_record(model, corrected_record(model, y, rate_hz), rate_hz, most_samples=MAX_SAMPLES)
 
 
@@ -221,6 +222,6 @@ def _shared(model: Model) -> tuple[tuple[int, int], ...]:
 
 def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
     """First rows of the non-overlapping blocks without an invalid row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
     out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return np.concatenate(out) if out else np.zeros(0, np.int64)
