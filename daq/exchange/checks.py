@@ -24,8 +24,10 @@ from .formats import RATE_TOLERANCE, read
 MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
 NO_VALUE = 1e30  # in whatever unit: no sensor says so much, but instruments write 9.9e37 for "no value"
 # Rates that a time column without a unit gives if it is taken as s, over what they are
-FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 FACTOR_TOLERANCE = 0.02
+# Titles of a table of CAN frames: of the identifier, and beginnings of those of length and bytes
+FRAME_TITLES = frozenset({"id", "identifier", "can id", "canid", "arbitration_id"}), frozenset({"dl", "le", "d0", "d1"})
 MOST_MISSING = 1_000_000  # samples in the holes of a record, beyond a hundred for each that is there
 
 
@@ -99,10 +101,13 @@ def checked(
         raise LogError(f"{path}: {text}; lower band.high, or check the rate{unsure}")
     if columns.odd:
         note(columns.odd)
+    said: list[str] = []
     missing = _finite(path, names, values, rate, gaps)
     if rows is not None:
         values, missing = _spread(values, rows, missing)
-    to = [_conversion(path, columns, rig, c, note) for c in rig.file.channel]
+    to = [_conversion(path, columns, rig, c, said.append) for c in rig.file.channel]
+    for text in dict.fromkeys(said):
+        note(text)
     if rig.acquisition is not None and abs(rate / rig.acquisition.rate_hz - 1) > RATE_TOLERANCE:
         note(f"{rate:g} Hz, where the rig file expects {rig.acquisition.rate_hz:g} Hz; the file's rate is used")
     return Record(
@@ -116,6 +121,9 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
         raise LogError(f"{path}: {columns.twice[name]}")
     if name not in columns.values:
         held = [k for k in columns.values if k not in rig.units] or list(columns.values)
+        if {k.strip().lower() for k in held} & FRAME_TITLES[0] and {k.lower()[:2] for k in held} & FRAME_TITLES[1]:
+            text = "a table of CAN frames; export it as .asc, .blf or candump .log, from which a DBC takes the signals"
+            raise LogError(f"{path}: {text}")
         remedy = did_you_mean(name, held, "it has")
         say = "; alias = of a channel in the rig file says what a file calls it" if held else ""
         raise LogError(f'{path}: has no channel "{name}" of the rig; {remedy}{say}')

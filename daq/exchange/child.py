@@ -10,48 +10,23 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import START_NAMES, plain, stated_rate, time_unit
+from .columns import time_unit
+from .leaves import Found, Told, fields_of, of_leaves
 
 REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 OLDEST_S = 315_532_800.0  # Unix time of 1980: dates before it are of clocks that were never set
-MOST_LEVELS = 8  # of structs in structs
 TIME_MASTER = 1  # asammdf's sync_type of a master channel that is a time; 0 of one that says nothing
 MASTER_KINDS = ("nothing", "time", "an angle", "a distance", "an index")
-_COLUMN_OF = re.compile(r"^(.+)\(:,\s*(\d+)\)$")  # "data(:,2)" of a matrix
-
-
-class Told(ValueError):
-    """Why the file cannot be used, and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What a file holds.
-
-    values : of the channels asked for; others are there by name only. rates : names and numbers of what says a rate.
-    time : by the name `time_name`. started : Unix time in ns, or a date as text. twice : of names that are there
-    several times, what to say. odd : what the user should know.
-    """
-
-    values: dict[str, NDArray[Any]]
-    rates: list[tuple[str, float]] = field(default_factory=list)
-    time: NDArray[Any] | None = None
-    units: dict[str, str] = field(default_factory=dict)
-    time_name: str = "time"
-    started: int | str | None = None
-    twice: dict[str, str] = field(default_factory=dict)
-    odd: str = ""
 
 
 def _mf4(path: Path, names: Sequence[str]) -> Found:
@@ -83,7 +58,7 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
     others = {n: np.empty(0) for n in file.channels_db if n not in places and time_unit(n) is None and n not in twice}
     if not places:
         return Found(others, twice=twice)
-    signals = {name: file.get(*place) for name, place in places.items()}
+    signals = {name: file.get(*place, ignore_invalidation_bits=True) for name, place in places.items()}
     first = next(iter(signals))
     time = signals[first].timestamps
     for n, s in signals.items():
@@ -94,7 +69,15 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
     time_name = _time_name(file, first, places[first][1])
     begun = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
     started = round(begun * 1e6) * 1000 if begun > OLDEST_S else None
-    return Found({n: s.samples for n, s in signals.items()} | others, [], time, units, time_name, started, twice)
+    return Found({n: _valid(s) for n, s in signals.items()} | others, [], time, units, time_name, started, twice)
+
+
+def _valid(signal: Any) -> NDArray[Any]:
+    """The samples, NaN where the recorder marked them as invalid."""
+    bits, samples = signal.invalidation_bits, signal.samples
+    if bits is None or not np.any(bits) or samples.dtype.kind not in "iuf":
+        return np.asarray(samples)
+    return np.where(np.asarray(bits, np.bool_), np.nan, samples)
 
 
 def _same(file: Any, name: str, places: Sequence[tuple[int, int]]) -> bool:
@@ -148,7 +131,7 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
     leaves: dict[str, Any] = {}
     for name, value in file.items():
         if not name.startswith("__"):
-            leaves.update(_fields(name, value))
+            leaves.update(fields_of(name, value))
     found = of_leaves(leaves, names, ".")
     opaque = [k for k, v in file.items() if type(v).__name__ == "MatlabOpaque"]
     if opaque and not any(np.size(v) for v in found.values.values()):
@@ -157,91 +140,17 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
     return found
 
 
-def _fields(name: str, value: Any, level: int = 0) -> Iterator[tuple[str, Any]]:
-    """Leaves of a struct: "data.x"."""
-    fields = getattr(getattr(value, "dtype", None), "names", None)
-    named = {plain(own): own for own in fields or ()}
-    key = next((named[k] for k in ("name", "label") if k in named), None)
-    data = next((named[k] for k in ("data", "values", "y") if k in named), None)
-    if key and data and np.size(value) > 1 and isinstance(value, np.ndarray):  # channels as an array of structs
-        for record in value.ravel():
-            yield f"{name}.{record[key]}", record[data]
-    elif fields and np.size(value) == 1 and level < MOST_LEVELS:
-        record = value.item() if isinstance(value, np.ndarray) else value
-        for k, own in enumerate(fields):
-            yield from _fields(f"{name}.{own}", record[k], level + 1)
-    else:
-        yield name, value
-
-
-def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -> Found:
-    """Arrays and numbers by their paths. A name that is the end of one path only is enough."""
-    picked, twice = {}, {}
-    for name in names:
-        ends = [p for p in leaves if p == name] or [p for p in leaves if _end(p, separator) == name]
-        if len(ends) > 1:
-            text = f"{name} is there {len(ends)} times, as {', '.join(ends[:5])}"
-            twice[name] = f'{text}; say which one by alias = "{ends[0]}" of its channel in the rig file'
-        elif ends:
-            picked[name] = leaves[ends[0]], ends[0]
-        elif (part := _COLUMN_OF.match(name)) and np.ndim(leaves.get(part[1], 0)) == 2:
-            table = np.asarray(leaves[part[1]])
-            if 1 <= int(part[2]) <= table.shape[1]:
-                picked[name] = table[:, int(part[2]) - 1], part[1]
-    homes = {path.rpartition(separator)[0] for _, path in picked.values()} or {""}
-    taken = {path for _, path in picked.values()}
-    near = {p: v for p, v in leaves.items() if p not in taken and _beside(p.rpartition(separator)[0], homes)}
-    ends_of = {p: p.rpartition(separator)[2] for p in near}
-    rates = stated_rate((ends_of[p], v) for p, v in near.items() if np.size(v) == 1)
-    times = [p for p in near if time_unit(ends_of[p]) is not None and np.size(near[p]) > 1]
-    started = next((_text_of(v) for p, v in near.items() if plain(ends_of[p]) in START_NAMES), None)
-    others = {p: np.empty(0) for p, v in leaves.items() if p not in taken and p not in times and np.ndim(v) >= 1}
-    values = {name: np.asarray(value) for name, (value, _) in picked.items()}
-    time = np.asarray(near[times[0]]) if times else None
-    time_name = ends_of[times[0]] if times else "time"
-    if time is not None and time.dtype.kind not in "iufM":
-        time = None if rates else time
-    return Found(values | others, rates, time, {}, time_name, started, twice)
-
-
-def _end(path: str, separator: str) -> str:
-    """The name at the end of a path; the samples of "b1x.data" are those of b1x."""
-    home, _, end = path.rpartition(separator)
-    while home and plain(end) in ("data", "values", "value", "signals"):
-        home, _, end = home.rpartition(separator)
-    return end
-
-
-def _beside(home: str, homes: set[str]) -> bool:
-    """Whether what lies there speaks of the channels: in the same place, or above."""
-    return not home or any(h == home or h.startswith(home) for h in homes)
-
-
-def _text_of(value: Any) -> str | None:
-    """A text in whatever a file keeps it."""
-    value = np.ravel(value)[0] if np.size(value) == 1 else value
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    if isinstance(value, np.ndarray) and value.dtype == np.uint16:  # of MATLAB 7.3
-        return "".join(map(chr, value.ravel().tolist()))
-    return value if isinstance(value, str) else None
-
-
 def _hdf5(path: Path, names: Sequence[str], remedy: str = "export it to .csv or .mat") -> Found:
     try:
         import h5py
     except ImportError as error:
         raise Told(f"an HDF5 file, which needs h5py: pip install rotorscope[files]; or {remedy}") from error
     leaves: dict[str, Any] = {}
-    units: dict[str, str] = {}
 
     def take(name: str, item: Any) -> None:
         for key, value in item.attrs.items():
             if not key.startswith("MATLAB"):
-                if plain(key) in ("unit", "units"):
-                    units[name] = _text_of(value) or ""
-                else:
-                    leaves.setdefault(f"{name}/{key}" if isinstance(item, h5py.Group) else key, value)
+                leaves[f"{name}/{key}"] = value
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             leaves[name] = item
 
@@ -249,9 +158,7 @@ def _hdf5(path: Path, names: Sequence[str], remedy: str = "export it to .csv or 
         for key, value in file.attrs.items():
             leaves[key] = value
         file.visititems(take)
-        found = of_leaves(leaves, names, "/")
-    ends = {path.rpartition("/")[2]: unit for path, unit in units.items()} | units
-    return replace(found, units={n: ends[n] for n in found.values if ends.get(n)})
+        return of_leaves(leaves, names, "/")
 
 
 def _tdms(path: Path, names: Sequence[str]) -> Found:

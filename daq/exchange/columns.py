@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,10 +18,11 @@ from daq.base.contract.part import ROW_ROUNDING, Part, beyond
 
 Column = NDArray[Any]
 TITLE_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*(?:\([^)]*\))?[^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
+DAY_S = 86400.0
 SECONDS_OF_UNIT = MappingProxyType(
     {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "sekunden": 1.0, "ms": 1e-3, "msec": 1e-3,
      "milliseconds": 1e-3, "us": 1e-6, "usec": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "nsec": 1e-9,
-     "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0}
+     "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0, "d": DAY_S, "days": DAY_S}
 )  # fmt: skip
 TIME_NAMES = frozenset(
     ("time", "t", "timestamp", "timestamps", "zeit", "zeitstempel", "uhrzeit", "datetime", "date/time", "xvalue")
@@ -36,6 +37,9 @@ START_NAMES = frozenset(
 )
 # Unix times: a record of 30 years is none. Largest value of a time column, and seconds of its unit
 EPOCH_RANGES = ((1e9, 4e9, 1.0), (1e12, 4e12, 1e-3), (1e15, 4e15, 1e-6), (1e18, 4e18, 1e-9))
+# Days of a calendar, from 1954 on: smallest, largest, and 1970-01-01 in it. Spreadsheets; datenum of MATLAB
+DAY_CALENDARS = ((20_000.0, 80_000.0, 25_569.0), (713_000.0, 760_000.0, 719_529.0))
+MOST_DAY_STEP = 4e-6  # days of a sample at 3 Hz; as seconds it would be 250 kHz
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +82,7 @@ def time_unit(name: str, unit: str = "") -> float | str | None:
     nan : it is a time that says no unit. "Time" with unit "ms", "time_ms", "t/ms" and "t in s" are known.
     """
     word = name.strip().lower().replace("µ", "u").replace("μ", "u")
-    found = re.match(r"^(.*?)(?:\s*/\s*|_|\s+in\s+|\s+)([a-z]+)$", word)
+    found = re.match(r"^(.*?)(?:\s*[/,]\s*|_|\s+in\s+|\s+)([a-z]+)$", word)
     if not unit and found and plain(found[1]) in TIME_NAMES and found[2] in SECONDS_OF_UNIT:
         word, unit = found[1], found[2]
     if plain(word) not in TIME_NAMES:
@@ -93,12 +97,23 @@ def in_seconds(time: NDArray[np.float64], unit: float) -> tuple[NDArray[np.float
     for low, high, of_range in EPOCH_RANGES:
         if low <= first <= high and (np.isnan(unit) or unit == of_range):
             return (time - time[0]) * of_range, round(first) * round(of_range * 1e9) + round(first % 1 * of_range * 1e9)
+    if len(time) > 1 and (np.isnan(unit) or unit == DAY_S):
+        step = float(np.median(np.diff(time)))
+        for low, high, of_1970 in DAY_CALENDARS:
+            if low <= first <= high and 0 < step < MOST_DAY_STEP:
+                return (time - time[0]) * DAY_S, _day_ns(first - of_1970)
     return time * (1.0 if np.isnan(unit) else unit), None
+
+
+def _day_ns(days: float) -> int | None:
+    """Unix time of a day since 1970 with its part, on this computer's clock, to the ms that such numbers hold."""
+    local = datetime(1970, 1, 1) + timedelta(milliseconds=round(days * DAY_S * 1e3))
+    return round(local.timestamp() * 1e3) * 10**6
 
 
 _DATE_FORMS = (
     "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f",
-    "%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M",
+    "%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M", "%m/%d/%Y %I:%M:%S.%f %p", "%m/%d/%Y %I:%M:%S %p",
 )  # fmt: skip
 
 

@@ -18,10 +18,12 @@ from daq.base.contract.errors import LogError
 from daq.rig.units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical
 
 from .columns import SECONDS_OF_UNIT, Columns, date_ns, in_seconds, time_unit, titled
+from .lvm_file import END_OF_HEAD, LVM_TITLE, read_lvm
 
 CSV_ROWS = 200_000  # parsed at a time
 LONGEST_LINE = 1 << 20  # bytes
 HEAD_LINES = 200  # lines in which a header is looked for
+MINUS_SIGN = "\u2212"  # of typesetting, for the hyphen
 SAMPLE_ROWS = 2000  # rows from which the decimal sign is told
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 _IN_THOUSANDS = re.compile(r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+$")
@@ -56,6 +58,8 @@ class _Table:
 def read_csv(path: Path, names: Sequence[str]) -> Columns:
     with path.open(encoding=_encoding(path), newline="") as file:
         first = list(islice(file, SAMPLE_ROWS))
+        if first and first[0].startswith(LVM_TITLE) and sum(line.startswith(END_OF_HEAD) for line in first) > 1:
+            return read_lvm(path, names)
         table = _header(path, first[:HEAD_LINES], names)
         first = _unit_row(table, first[table.line - 1 :])
         _columns(table, names)
@@ -265,7 +269,7 @@ def _piece(table: _Table, lines: list[str]) -> tuple[NDArray[np.float64], NDArra
             if all(line.count(table.delimiter) == commas for line in lines if line.strip()):
                 read = np.loadtxt(plain, delimiter=table.delimiter, usecols=columns, ndmin=2, comments=None)
                 return read[:, : len(table.wanted)], read[:, -1] if table.time is not None else np.empty(0)
-    rows = _rows(table, lines)
+    rows = _rows(table, [line.replace(MINUS_SIGN, "-") for line in lines])
     numbers = _numbers(table, rows)
     return numbers, np.empty(0) if table.time is None or not table.wanted else _times(table, rows)
 

@@ -20,6 +20,7 @@ from daq.base.contract.errors import LogError
 from . import child
 from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit, titled
 from .csv_file import read_csv
+from .lvm_file import read_lvm
 from .uff_file import read_uff
 from .wav_file import read_wav
 
@@ -178,9 +179,11 @@ REMEDY_OF_SUFFIX = {
     ".xls": _SHEET_REMEDY,
     ".ods": _SHEET_REMEDY,
     ".dat": "if it is a table of text, name it .csv; ",
+    ".trc": "a PCAN trace: convert it to .asc with PEAK's converter, or record with candump -L into a .log; ",
 }
 READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Columns]] = {
-    ".npz": _npz, ".csv": read_csv, ".txt": read_csv, ".tsv": read_csv, ".mat": _elsewhere, ".mf4": _elsewhere,
+    ".npz": _npz, ".csv": read_csv, ".txt": read_csv, ".tsv": read_csv, ".lvm": read_lvm, ".mat": _elsewhere,
+    ".mf4": _elsewhere,
     ".mdf": _elsewhere, ".uff": read_uff, ".unv": read_uff, ".uf": read_uff, ".wav": read_wav, ".tdms": _elsewhere,
     ".h5": _elsewhere, ".hdf5": _elsewhere, ".parquet": _elsewhere,
 }  # fmt: skip

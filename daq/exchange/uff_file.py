@@ -11,8 +11,10 @@ import numpy as np
 
 from daq.base.contract.errors import LogError
 
-from .columns import Column, Columns, date_ns
+from .columns import Column, Columns, date_ns, time_unit
 
+TIME_TYPE = 17  # of an abscissa
+SAME_STEP_REL = 1e-6  # between the steps of records: they are written in single precision
 VALUES_OF_LINE = 6  # at most, in a dataset 58 as text: a last line may be filled up
 # Dataset 164 says by what to divide to get metres and newtons
 UNIT_OF_LENGTH = {1.0: "m", 1e3: "mm", 1e2: "cm", 1e6: "um", 1 / 0.0254: "in", 1 / 0.3048: "ft"}
@@ -47,11 +49,41 @@ def of_uff(
             units[name] = unit
     started_ns = next((ns for s in records if (ns := date_ns(str(s.get("id3", ""))))), None)
     of_kind = _system(path, systems)
-    steps = {float(s.get("abscissa_inc", 0.0)) for s in records}
-    if len(steps) > 1 or 0.0 in steps:
-        time = np.asarray(records[0]["x"])
-        return Columns(values, None, time, units, started_ns=started_ns, units_of_kind=of_kind)
-    return Columns(values, 1.0 / steps.pop(), None, units, started_ns=started_ns, units_of_kind=of_kind)
+    rate_hz, time = _sampled(path, records, list(values))
+    return Columns(values, rate_hz, time, units, started_ns=started_ns, units_of_kind=of_kind)
+
+
+def _sampled(
+    path: Path, records: Sequence[Mapping[str, Any]], names: Sequence[str]
+) -> tuple[float | None, Column | None]:  # fmt: skip
+    """The rate of all records, or their times. Raises LogError where they differ, or are over something else."""
+    for name, s in zip(names, records, strict=True):
+        if int(s.get("abscissa_spec_data_type", TIME_TYPE) or TIME_TYPE) != TIME_TYPE:
+            raise LogError(f"{path}: {name} is recorded over something that is no time; export the time histories")
+    unit = _abscissa_unit(path, records[0])
+    uneven = [int(s.get("abscissa_spacing", 1)) == 0 or float(s.get("abscissa_inc", 0.0)) == 0.0 for s in records]
+    if any(uneven):
+        first = np.asarray(records[0]["x"])
+        for name, s in zip(names, records, strict=True):
+            if not np.array_equal(np.asarray(s["x"]), first):
+                text = f"{name} was not sampled at the same times as {names[0]}"
+                raise LogError(f"{path}: {text}; resample them to one time first")
+        return None, first * unit
+    steps = [float(s["abscissa_inc"]) * unit for s in records]
+    for name, step in zip(names, steps, strict=True):
+        if not math.isclose(step, steps[0], rel_tol=SAME_STEP_REL):
+            text = f"{names[0]} is sampled at {1 / steps[0]:.6g} Hz, {name} at {1 / step:.6g} Hz"
+            raise LogError(f"{path}: {text}; export channels of one rate")
+    return 1.0 / steps[0], None
+
+
+def _abscissa_unit(path: Path, record: Mapping[str, Any]) -> float:
+    """Seconds of one unit of the abscissa."""
+    label = str(record.get("abscissa_axis_units_lab", "")).strip().strip("-").removeprefix("NONE")
+    unit = time_unit("time", label)
+    if isinstance(unit, str):
+        raise LogError(f'{path}: the time is in "{label}", which is no unit of time; write s, ms, us or min')
+    return 1.0 if unit is None or math.isnan(unit) else unit
 
 
 def _samples(path: Path, name: str, record: Mapping[str, Any]) -> Column:

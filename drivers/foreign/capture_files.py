@@ -25,7 +25,8 @@ def open_capture(path: str, names: Mapping[str, int] | None = None) -> Batches:
     suffix = file.suffix.lower()
     if suffix not in CAPTURE_SUFFIXES:
         what = suffix or "a file without ending"
-        raise LinkOpenError(f"capture:{path}: cannot read {what}: use {', '.join(CAPTURE_SUFFIXES)}")
+        remedy = " (a PCAN trace: convert it to .asc with PEAK's converter)" if suffix == ".trc" else ""
+        raise LinkOpenError(f"capture:{path}: cannot read {what}{remedy}: use {', '.join(CAPTURE_SUFFIXES)}")
     try:
         if file.exists() and not file.is_file():  # a pipe would hold us until somebody writes
             raise LinkOpenError(f"capture:{path}: is not a file that can be read to its end: save the traffic first")

@@ -63,8 +63,9 @@ def load_dbc(data: bytes) -> Database:
     except Exception as error:
         said = " ".join(str(error).split())
         raise LinkError(f"the DBC file cannot be read: {said}: check link.dbc") from error
-    attributes = getattr(database.dbc, "attributes", None) or {}
-    protocol = str(getattr(attributes.get("ProtocolType"), "value", ""))
+    attributes, defaults = (getattr(database.dbc, n, None) or {} for n in ("attributes", "attribute_definitions"))
+    default = getattr(defaults.get("ProtocolType"), "default_value", "")  # BA_DEF_DEF_: of a file that does not say it
+    protocol = str(getattr(attributes.get("ProtocolType"), "value", default) or "")
     return Database(tuple(database.messages), protocol.upper().startswith("J1939"))
 
 

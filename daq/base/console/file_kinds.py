@@ -3,4 +3,8 @@
 from __future__ import annotations
 
 LOG_MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of an MCAP file
-IMPORTED_SUFFIXES = (".npz", ".csv", ".mat", ".mf4", ".uff", ".unv", ".wav")  # data files that `import` reads
+# Data files that `import` reads
+IMPORTED_SUFFIXES = (
+    ".npz", ".csv", ".tsv", ".lvm", ".mat", ".mf4", ".mdf", ".uff", ".unv", ".uf", ".wav", ".tdms", ".h5", ".hdf5",
+    ".parquet",
+)  # fmt: skip

@@ -20,7 +20,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help=".npz .csv .mat .mf4 .uff .wav .tdms .h5 .parquet, or .log .blf .asc with a DBC (?bus=N of several).",
+            help=".npz .csv .mat .mf4 .uff .wav .lvm .tdms .h5 .parquet, or, with a DBC, .log .blf .asc (?bus=N).",
         ),
     ],
     rig: RigOption,

@@ -188,3 +188,17 @@ def test_batches_hold_where_damage_was(tmp_path: Path) -> None:
     front, back = batch.cut(5)
     assert (front.holes.sum(), back.holes.tolist()) == (0, [2, 0, 0, 0, 1])
     assert struct.unpack("<h", back.frames.payload[0, :2].tobytes()) == (5,)
+
+
+def test_error_frames_and_requests_are_no_samples(tmp_path: Path) -> None:
+    stamp = [line.partition(" ")[0][:-4] + "3000)" for line in PLAIN]
+    other = [f"{s} can0 {f}" for s in stamp[:3] for f in ("20000004#0000000000000000", "100#R4", "100#R")]
+    assert samples(read(tmp_path / "a.log", PLAIN)).tolist() == list(K)
+    mixed = [line for k, one in enumerate(PLAIN) for line in (one, *(other[3 * k : 3 * k + 3]))]
+    assert samples(read(tmp_path / "a.log", mixed)).tolist() == list(K)
+
+
+def test_fd_frames_in_decimal_with_a_name(tmp_path: Path) -> None:
+    head = [line.replace("hex", "dec") for line in ASC]
+    line = "{:.6f} CANFD   1 Rx        256  Acc_B      1 0 2  2 {} 0   130000  130   303000 e0006659 46500250"
+    assert samples(read(tmp_path / "a.asc", [*head, *(line.format(0.01 * k, k) for k in K)])).tolist() == list(K)

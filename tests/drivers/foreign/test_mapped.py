@@ -76,6 +76,15 @@ def test_j1939_from_any_source_address() -> None:
     assert np.allclose(values(record)[:, 1], -10.0)
 
 
+def test_j1939_by_the_default_of_the_whole_file() -> None:
+    """BA_DEF_DEF_ alone says the protocol."""
+    default = b'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "%s";\n'
+    silent = DBC.replace(b'BA_ "VFrameFormat" BO_ 2565877246 3;\n', b"")
+    for protocol, of_j1939 in ((b"J1939", True), (b"", False)):
+        plan = compile_plan(silent + default % protocol, {"x": "ACS.Lateral"})
+        assert (plan.messages[0].pages[0].fields[0].first_code == 0xFB00) is of_j1939
+
+
 def test_j1939_not_available_is_a_gap_and_a_second_source_is_told() -> None:
     frames = []
     for k in range(50):

@@ -1,0 +1,165 @@
+"""What lies in files of structs, groups and attributes, by path: samples, and what is said of them beside them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .columns import START_NAMES, plain, stated_rate, time_unit
+
+MOST_LEVELS = 8  # of structs in structs
+OF_SAMPLES = frozenset(("data", "values", "value", "signals"))  # names of a channel's samples in a struct of its own
+SCALE_NAMES = frozenset(
+    ("gain", "scale", "scaling", "calibration", "calibrationfactor", "calfactor", "sensitivity", "multiplier", "slope")
+    + ("conversion", "conversionfactor", "lsb", "factor")
+)
+_PART_OF = re.compile(r"^(.+)\((:|\d+),\s*(:|\d+)\)$")  # "data(:,2)" or "data(2,:)" of a matrix
+_SINCE_DATE = re.compile(r"^\s*(\w+)\s+since\s+(\S.*)$", re.IGNORECASE)  # units of time of netCDF
+
+
+class Told(ValueError):
+    """Why the file cannot be used, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a file holds.
+
+    values : of the channels asked for; others are there by name only. rates : names and numbers of what says a rate.
+    time : by the name `time_name`. started : Unix time in ns, or a date as text. twice : of names that are there
+    several times, what to say. odd : what the user should know.
+    """
+
+    values: dict[str, NDArray[Any]]
+    rates: list[tuple[str, float]] = field(default_factory=list)
+    time: NDArray[Any] | None = None
+    units: dict[str, str] = field(default_factory=dict)
+    time_name: str = "time"
+    started: int | str | None = None
+    twice: dict[str, str] = field(default_factory=dict)
+    odd: str = ""
+
+
+def fields_of(name: str, value: Any, level: int = 0) -> Iterator[tuple[str, Any]]:
+    """Leaves of a struct: "data.x"."""
+    fields = getattr(getattr(value, "dtype", None), "names", None)
+    named = {plain(own): own for own in fields or ()}
+    key = next((named[k] for k in ("name", "label") if k in named), None)
+    data = next((named[k] for k in ("data", "values", "y") if k in named), None)
+    if key and data and np.size(value) > 1 and isinstance(value, np.ndarray):  # channels as an array of structs
+        for record in value.ravel():
+            yield f"{name}.{record[key]}", record[data]
+            for own in named.values():
+                if own not in (key, data):
+                    yield f"{name}.{record[key]}.{own}", record[own]
+    elif fields and np.size(value) == 1 and level < MOST_LEVELS:
+        record = value.item() if isinstance(value, np.ndarray) else value
+        for k, own in enumerate(fields):
+            yield from fields_of(f"{name}.{own}", record[k], level + 1)
+    else:
+        yield name, value
+
+
+def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -> Found:
+    """Arrays and numbers by their paths. A name that is the end of one path only is enough."""
+    picked, twice = _picked(leaves, names, separator)
+    paths = {path for _, path in picked.values()}
+    homes = {path.rpartition(separator)[0] for path in paths} | paths or {""}
+    near = {
+        p: v for p, v in leaves.items()
+        if p not in paths and _beside(p.rpartition(separator)[0], homes, separator)
+    }  # fmt: skip
+    ends_of = {p: p.rpartition(separator)[2] for p in near}
+    rates = [(p, rate) for p, v in near.items() if np.size(v) == 1 for _, rate in stated_rate([(ends_of[p], v)])]
+    times = [p for p in near if time_unit(ends_of[p]) is not None and np.size(near[p]) > 1]
+    started = next((text_of(v) for p, v in near.items() if plain(ends_of[p]) in START_NAMES), None)
+    others = {p: np.empty(0) for p, v in leaves.items() if p not in paths and p not in times and np.ndim(v) >= 1}
+    values, units, odd = {}, {}, []
+    for name, (value, path) in picked.items():
+        about = _about(leaves, path, separator)
+        values[name] = _scaled(np.asarray(value), about)
+        if unit := text_of(about.get("unit", about.get("units"))):
+            units[name] = unit
+        for key in SCALE_NAMES & about.keys():
+            number = np.ravel(about[key])
+            if number.size == 1 and number.dtype.kind in "iuf" and number[0] != 1:
+                odd.append(f"{name} has {key} = {number[0]:g} beside it, which is not applied: check that it is in it")
+    time, time_name = None, "time"
+    if times:
+        time, time_name = np.asarray(near[times[0]]), ends_of[times[0]]
+        about = _about(leaves, times[0], separator)
+        unit = text_of(about.get("unit", about.get("units"))) or ""
+        if since := _SINCE_DATE.match(unit):
+            unit, started = since[1], started or since[2]
+        time_name = f"{time_name} [{unit}]" if unit else time_name
+        if time.dtype.kind not in "iufM":
+            time = None if rates else time
+    return Found(values | others, rates, time, units, time_name, started, twice, "; ".join(odd))
+
+
+def _picked(
+    leaves: Mapping[str, Any], names: Sequence[str], separator: str
+) -> tuple[dict[str, tuple[Any, str]], dict[str, str]]:
+    """The samples of each name and their path; and what to say of names that are there several times."""
+    picked: dict[str, tuple[Any, str]] = {}
+    twice = {}
+    for name in names:
+        ends = [p for p in leaves if p == name] or [p for p in leaves if _end(p, separator) == name]
+        if len(ends) > 1:
+            text = f"{name} is there {len(ends)} times, as {', '.join(ends[:5])}"
+            twice[name] = f'{text}; say which one by alias = "{ends[0]}" of its channel in the rig file'
+        elif ends:
+            picked[name] = leaves[ends[0]], ends[0]
+        elif (part := _PART_OF.match(name)) and np.ndim(leaves.get(part[1], 0)) == 2:
+            table = np.asarray(leaves[part[1]])
+            table, number = (table, part[3]) if part[2] == ":" else (table.T, part[2])
+            if number.isdecimal() and 1 <= int(number) <= table.shape[1] and ":" in part.groups():
+                picked[name] = table[:, int(number) - 1], part[1]
+    return picked, twice
+
+
+def _about(leaves: Mapping[str, Any], path: str, separator: str) -> dict[str, Any]:
+    """What is said of samples: under their path, or beside them in a struct of theirs; by plain names."""
+    home, _, end = path.rpartition(separator)
+    homes = [path, home] if home and plain(end) in OF_SAMPLES else [path]
+    return {plain(p.rpartition(separator)[2]): v for p, v in leaves.items() if p.rpartition(separator)[0] in homes}
+
+
+def _scaled(value: NDArray[Any], about: Mapping[str, Any]) -> NDArray[Any]:
+    """With scale_factor, add_offset and the fill value of netCDF, of which every reader of such files knows."""
+    if value.dtype.kind not in "iuf":
+        return value
+    fills = [np.ravel(about[key])[0] for key in ("fillvalue", "missingvalue") if np.size(about.get(key, ())) == 1]
+    gone = np.isin(value, fills) if fills else np.zeros(value.shape, np.bool_)
+    scale, offset = (about.get(key, usual) for key, usual in (("scalefactor", 1.0), ("addoffset", 0.0)))
+    if "scalefactor" in about or "addoffset" in about:
+        value = value * float(np.ravel(scale)[0]) + float(np.ravel(offset)[0])
+    return np.where(gone, np.nan, value) if gone.any() else value
+
+
+def _end(path: str, separator: str) -> str:
+    """The name at the end of a path; the samples of "b1x.data" are those of b1x."""
+    home, _, end = path.rpartition(separator)
+    while home and plain(end) in OF_SAMPLES:
+        home, _, end = home.rpartition(separator)
+    return end
+
+
+def _beside(home: str, homes: set[str], separator: str) -> bool:
+    """Whether what lies there speaks of the channels: in the same place, or above."""
+    return not home or any(h == home or h.startswith(home + separator) for h in homes)
+
+
+def text_of(value: Any) -> str | None:
+    """A text in whatever a file keeps it."""
+    value = np.ravel(value)[0] if np.size(value) == 1 else value
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, np.ndarray) and value.dtype == np.uint16:  # of MATLAB 7.3
+        return "".join(map(chr, value.ravel().tolist()))
+    return value if isinstance(value, str) else None
