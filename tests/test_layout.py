@@ -22,11 +22,8 @@ INSIDE = {
     "daq/commands/test_entry.py": (2, "the state of a process that has been interrupted"),
     "daq/log/test_place.py": (1, SEAM),
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
-    "estimator/diagnosis/verdict/test_diagnosis.py": (1, SEAM),
-    "estimator/diagnosis/verdict/test_improvement.py": (1, "the roll-off search leaves"),
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
     "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
-    "estimator/likelihood/motion/test_memory_law.py": (1, LEAVES),
     "estimator/signals/test_band_limited_record.py": (1, LEAVES),
 }
 FILE_LINES = 400
@@ -37,8 +34,8 @@ ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.p
 # Ratchets: a change may lower these numbers and never raise them.
 EFFECT_NAMING_FILES = 0  # files of estimator/ outside effects/ with an effect's name in a string: none is the aim
 ONE_WORD_CONSTANTS = {"estimator": 0, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 1  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 47  # constructions of classes in estimator/ with more than four positional arguments: none
+SAME_OPENINGS = 0  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 0  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",

@@ -296,7 +296,7 @@ class BandLimit:
         motion = self._join(parts)
         a, v, x, u = (z[:, :count] for z in (motion.a, motion.v, motion.x, motion.u))
         slow = None if motion.slow is None else motion.slow[:, :count]
-        return BandLimitedMotion(motion.start, a, v, x, u, motion.valid[:count], slow)
+        return BandLimitedMotion(start=motion.start, a=a, v=v, x=x, u=u, valid=motion.valid[:count], slow=slow)
 
     def _block(
         self, y: Array, dtype: type[np.floating[Any]] = np.float64
@@ -331,7 +331,9 @@ class BandLimit:
         """Outputs (channels, n) in their order, as motion."""
         found = dict(zip(self.outputs, out, strict=True))
         u = found.get("u", np.empty((0, valid.size), out[0].dtype))
-        return BandLimitedMotion(start, found["a"], found["v"], found["x"], u, valid, found.get("slow"))
+        return BandLimitedMotion(
+            start=start, a=found["a"], v=found["v"], x=found["x"], u=u, valid=valid, slow=found.get("slow")
+        )
 
 
 def band_limit(
@@ -350,7 +352,7 @@ def band_limit(
         np.concatenate([getattr(p, name) for p in parts], axis=1) if parts[1].rows else getattr(parts[0], name)
         for name in "avxu"
     )
-    return BandLimitedMotion(0, a, v, x, u, valid)
+    return BandLimitedMotion(start=0, a=a, v=v, x=x, u=u, valid=valid)
 
 
 def out_of_band_sd(

@@ -141,7 +141,7 @@ def block_layout(
     for s in starts[1:]:
         if s - kept[-1] >= 4:
             kept.append(int(s))
-    return BlockLayout(rate_hz, size, bins, np.array(kept, dtype=np.intp), longer)
+    return BlockLayout(rate_hz=rate_hz, size=size, bins=bins, starts=np.array(kept, dtype=np.intp), longer=longer)
 
 
 def valid_blocks(valid: NDArray[np.bool_], grid: BlockLayout) -> NDArray[np.intp]:

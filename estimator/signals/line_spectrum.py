@@ -205,7 +205,17 @@ def _spectrum(
     )  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
     noise = np.stack([local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS) for z in Y])
-    return LineSpectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)
+    return LineSpectrum(
+        f_hz=f,
+        Y=Y,
+        noise=noise,
+        seconds=n / rate_hz,
+        windowed=windowed,
+        kinds=kinds,
+        rate_hz=rate_hz,
+        model=model,
+        phase=phase,
+    )
 
 
 def local_noise(power: NDArray[np.floating], reach: int) -> Array:

@@ -144,13 +144,23 @@ def _of_hats(
     freed = _without(np.column_stack([np.ones_like(knots), D]), visits) @ to_hats
     force, sd = (freed @ values)[inside], _sd(freed, cov)[inside]
     x = knots[inside]
-    shape = Shape(channel, state, x, force, force - 1.96 * sd, force + 1.96 * sd)
+    shape = Shape(
+        channel=channel, against=state, at=x, force=force, band_low=force - 1.96 * sd, band_high=force + 1.96 * sd
+    )
 
     near = np.where(np.abs(knots) <= INNER_RMS * rms, visits, 0.0) if x_state else visits
     line = _without(np.column_stack([np.ones_like(knots), knots]), near)
     total = line @ to_total
     whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
-    return shape, Law(channel, state, x, whole, whole - 1.96 * sd, whole + 1.96 * sd, (line @ model)[inside])
+    return shape, Law(
+        channel=channel,
+        against=state,
+        at=x,
+        measured=whole,
+        band_low=whole - 1.96 * sd,
+        band_high=whole + 1.96 * sd,
+        model=(line @ model)[inside],
+    )
 
 
 def _without(D: Array, weight: Array) -> Array:
@@ -169,7 +179,9 @@ def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, a
     units = fit.scales[k]
     force = A @ (fit.delta[k] * units)
     sd = _sd(A, fit.covariance[np.ix_(k, k)] * np.multiply.outer(units, units))
-    return Shape(channel, against, at, force, force - 1.96 * sd, force + 1.96 * sd)
+    return Shape(
+        channel=channel, against=against, at=at, force=force, band_low=force - 1.96 * sd, band_high=force + 1.96 * sd
+    )
 
 
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:

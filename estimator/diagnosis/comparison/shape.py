@@ -55,7 +55,14 @@ def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channe
     free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
     force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
     at_knots, force, sd = knots[inside], force[inside], sd[inside]
-    return Shape(channel, group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
+    return Shape(
+        channel=channel,
+        against=group,
+        at=at_knots,
+        force=force,
+        band_low=force - 1.96 * sd,
+        band_high=force + 1.96 * sd,
+    )
 
 
 def missing_force_curve(

@@ -49,13 +49,34 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         else:
             y = simulate(model, data.rate_hz, TWIN_SECONDS, seed=11)
     except ModelError as problem:
-        return Twin({}, {}, {}, {}, {}, f"no simulated twin: {problem}")
+        return Twin(
+            psd_distance_db={},
+            pdf_distance={},
+            spectra={},
+            densities={},
+            orbits={},
+            message=f"no simulated twin: {problem}",
+        )
     if not np.isfinite(y).all():
-        return Twin({}, {}, {}, {}, {}, "no simulated twin: the simulation of this model diverges")
+        return Twin(
+            psd_distance_db={},
+            pdf_distance={},
+            spectra={},
+            densities={},
+            orbits={},
+            message="no simulated twin: the simulation of this model diverges",
+        )
     try:
         own = motion_record(model, y, data.rate_hz, data.block)
     except DataError as problem:
-        return Twin({}, {}, {}, {}, {}, f"no simulated twin: {problem}")
+        return Twin(
+            psd_distance_db={},
+            pdf_distance={},
+            spectra={},
+            densities={},
+            orbits={},
+            message=f"no simulated twin: {problem}",
+        )
     psd: dict[str, float] = {}
     pdf: dict[str, float] = {}
     spectra: dict[str, Any] = {}
@@ -86,7 +107,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
             orbits[node] = {
                 k: [z[j][:2000].tolist() for j in pair] for k, z in (("measured", data.x), ("model", own.x))
             }
-    return Twin(psd, pdf, spectra, densities, orbits)
+    return Twin(psd_distance_db=psd, pdf_distance=pdf, spectra=spectra, densities=densities, orbits=orbits)
 
 
 def _driven(model: Model, record: Array, rate_hz: float) -> Array:

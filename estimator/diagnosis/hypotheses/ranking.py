@@ -337,11 +337,13 @@ def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
         if q.linear:
             value, sd = t.values.get(q.name, (0.0, 0.0))
             if q.name not in t.values:
-                out[name] = Parameter(None, None, q.unit, False, "at the limit of its range: not needed")
+                out[name] = Parameter(
+                    value=None, sd=None, unit=q.unit, identifiable=False, reason="at the limit of its range: not needed"
+                )
                 continue
             out[name] = Parameter.from_estimate(value, sd, q.unit)
         elif not t.placed.free[k]:
-            out[name] = Parameter(float(t.placed.p[k]), 0.0, q.unit, True, "given")
+            out[name] = Parameter(value=float(t.placed.p[k]), sd=0.0, unit=q.unit, identifiable=True, reason="given")
         else:
             # found by search: the width over which the gain falls by 1/2, from the strength of the evidence
             value = float(t.placed.p[k])

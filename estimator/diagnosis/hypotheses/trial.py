@@ -123,7 +123,7 @@ def best_on_grid(point: WorkingPoint, model: Model, effect: Effect, location: st
     best: tuple[LawGain, LocatedLaw] | None = None
     base = base_fit(point, where)
     for p in parameter_grid(effect, model, point, where[0], unknown):
-        placed = LocatedLaw(effect, f"{location}.{effect.name}", where, p, free)
+        placed = LocatedLaw(effect=effect, key=f"{location}.{effect.name}", at=where, p=p, free=free)
         got = fitted_gain(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
@@ -145,7 +145,11 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
         if q.linear:
             p[k] = values.get(q.name, (0.0, 0.0))[0]
     placed = LocatedLaw(
-        effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
+        effect=effect,
+        key=placed.key,
+        at=placed.at,
+        p=p,
+        free=tuple(q.linear or k in loose for k, q in enumerate(effect.parameters)),
     )
     df = max(len(problem.extra) + len(loose), 1)
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
@@ -209,7 +213,9 @@ def repeated_trial(point: WorkingPoint, model: Model, found: Trial) -> Trial | N
     """A trial fitted again on another part of the record, at the searched parameters found; None if it cannot be."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
-    placed = LocatedLaw(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
+    placed = LocatedLaw(
+        effect=found.effect, key=found.placed.key, at=found.placed.at, p=p, free=_amplitudes(found.effect, point)
+    )
     got = fitted_gain(point, placed)
     if got is None:
         return None

@@ -161,7 +161,7 @@ def periodic_effects(model: Model) -> list[PeriodicEffect]:
             hz = fundamental_hz(effect, own, model)
             if hz > 0.0:
                 free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
-                out.append(PeriodicEffect(effect, key, p, free, hz))
+                out.append(PeriodicEffect(effect=effect, key=key, p=p, free=free, hz=hz))
     return out
 
 
@@ -253,7 +253,9 @@ def periodic_amplitudes(model: Model, places: tuple[str, ...], rate_hz: float) -
                 p[k] = 1.0
                 tables = _tables(model, replace(one, p=p), places, rate_hz)
                 name = f"{one.key}.{one.effect.name}.{q.name}"
-                out.append(PeriodicForce(name, q.unit, one, tables, _swings(model, one, places)))
+                out.append(
+                    PeriodicForce(name=name, unit=q.unit, one=one, tables=tables, swings=_swings(model, one, places))
+                )
     return tuple(out)
 
 
@@ -273,7 +275,11 @@ def periodic_series(model: Model, places: tuple[str, ...], t: Array, phase: Arra
 def periodic_forces(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
     """Forces of the model's periodic effects in the band, all amplitudes of an effect together."""
     made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_effects(model)]
-    return tuple(PeriodicForce("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
+    return tuple(
+        PeriodicForce(name="", unit="N", one=one, tables=tables, swings=_swings(model, one, places))
+        for one, tables in made
+        if tables
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +299,7 @@ class BelowBandForce:
         yields = response(2 * np.pi * self.one.hz * np.arange(1.0, len(F) + 1))[..., [*self.force]]
         moved = np.einsum("fij,fj->if", yields, F)
         made = {i: _turned(x) for i, x in enumerate(moved) if x.any()}
-        return PeriodicForce("", "m", self.one, made, self.swings).series(t, phase)
+        return PeriodicForce(name="", unit="m", one=self.one, tables=made, swings=self.swings).series(t, phase)
 
 
 def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandForce, ...]:

@@ -66,7 +66,19 @@ class Stretch:
         a, v, x, u = (z[:, rows] for z in (self.a, self.v, self.x, self.u))
         force = {i: z[rows] for i, z in self.force.items()}
         slow, calm = (None if z is None else z[:, rows] for z in (self.slow, self.calm))
-        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz, slow, calm)
+        return Stretch(
+            a=a,
+            v=v,
+            x=x,
+            u=u,
+            valid=self.valid[rows],
+            force=force,
+            t=self.t[rows],
+            phase=self.phase[rows],
+            rate_hz=self.rate_hz,
+            slow=slow,
+            calm=calm,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +149,17 @@ class Columns:
         h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
         xo, vo = (stretch.calmed(other), stretch.v[other]) if other >= 0 else (np.zeros(stretch.t.size),) * 2
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
-        return LawStates(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
+        return LawStates(
+            x=stretch.calmed(row),
+            v=stretch.v[row],
+            xo=xo,
+            vo=vo,
+            t=stretch.t,
+            phase=stretch.phase,
+            s=sign,
+            h=h,
+            valid=stretch.valid,
+        )
 
     def evaluate(self, stretch: Stretch) -> tuple[Array, Array]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
@@ -145,7 +167,7 @@ class Columns:
         return out, tangents[0]
 
     def along(self, stretch: Stretch, piece: int) -> tuple[Array, Array]:
-        """The same with the sums of tangents of every `piece` rows, (pieces, columns, 4)."""
+        """(columns, rows), and the sums of tangents over every `piece` valid rows, (pieces, columns, 4)."""
         starts = range(0, stretch.rows, piece)
         inner = slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
         out = np.empty((len(self.balance.columns), stretch.rows))

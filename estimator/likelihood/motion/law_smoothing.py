@@ -126,7 +126,7 @@ class LawStates:
         x, v, xo, vo, t, phase = (
             np.ascontiguousarray(z[k]) for z in (self.x, self.v, self.xo, self.vo, self.t, self.phase)
         )
-        return LawStates(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
+        return LawStates(x=x, v=v, xo=xo, vo=vo, t=t, phase=phase, s=self.s, h=self.h, valid=self.valid[k])
 
     def finer(self, reads: NDArray[np.bool_]) -> LawStates:
         """The states on the fine grid, HALF_SUPPORT_ROWS (coarse) wider than the inner rows; 0 for what is not read."""
@@ -145,7 +145,9 @@ class LawStates:
         valid[: HALF_SUPPORT_ROWS * FINE_GRID_FACTOR] = valid[-HALF_SUPPORT_ROWS * FINE_GRID_FACTOR :] = (
             False  # the margins do not count in the mean tangents
         )
-        return LawStates(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
+        return LawStates(
+            x=x, v=v, xo=xo, vo=vo, t=linear(self.t), phase=linear(self.phase), s=self.s, h=self.h, valid=valid
+        )
 
 
 def reads_states(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:

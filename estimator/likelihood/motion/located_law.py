@@ -102,7 +102,7 @@ def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
                 p[k] = s.value if s is not None and s.value is not None else start_value(q, natural, model)
                 typed = s is not None and s.value is not None and not q.given  # of a kinematic number: it may slip
                 free.append((q.linear or k in loose or typed) and not (s is not None and s.fixed))
-            out.append(LocatedLaw(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
+            out.append(LocatedLaw(effect=effect, key=f"{canonical}.{effect.name}", at=where, p=p, free=tuple(free)))
     return out
 
 
@@ -207,7 +207,7 @@ def _along(
         rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1) if sharp else slice(a, b)
         x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
-        state = LawStates(x, v, xo, vo, t, phase, data.sign(i), data.smoothing(i), valid)
+        state = LawStates(x=x, v=v, xo=xo, vo=vo, t=t, phase=phase, s=data.sign(i), h=data.smoothing(i), valid=valid)
         if sharp:
             force, part = law_force(effect, p, state.finer(reads), reads)
             out[a:b], part = decimated(force), part / FINE_GRID_FACTOR

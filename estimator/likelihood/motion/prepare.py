@@ -124,8 +124,8 @@ def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) ->
     """Band-limited motion and force of some columns of a record y (n, channels), SI, made as it is asked for."""
     kinds = [model.channels[k].kind for k in columns]
     return BandLimitedRecord(
-        y, kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=anti_alias_response(model, rate_hz),
-        columns=columns,
+        y=y, kinds=kinds, rate_hz=rate_hz, band=model.band, extra=shaft_reaction(model), slow=True,
+        undone=anti_alias_response(model, rate_hz), columns=columns,
     )  # fmt: skip
 
 

@@ -92,7 +92,7 @@ class Record:
     def columns(self, balance: Balance, widths: Array, linear: Array | None = None, fine: int | None = None) -> Columns:
         """What evaluates the columns of a balance along the record: columns.Columns."""
         folding_hz = self.rate_hz - self.model.band[1]
-        return Columns(balance, self.scales, widths, linear, fine, folding_hz)
+        return Columns(balance=balance, rms=self.scales, widths=widths, linear=linear, fine=fine, folding_hz=folding_hz)
 
     def stretch(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 and the margins that their evaluation needs, zeros beyond the record."""
@@ -119,7 +119,7 @@ class Record:
             a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
             measured = None if m.slow is None else padded(m.slow[:, lo:hi])
         slow = measured if self.slow is None else padded(self.slow[:, lo:hi])
-        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow)
+        return Stretch(a=a, v=v, x=x, u=u, valid=valid, force=force, t=t, phase=phase, rate_hz=self.rate_hz, slow=slow)
 
 
 def notches(model: Model) -> tuple[tuple[float, float], ...]:
@@ -139,15 +139,17 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     P, force = len(motions), {}
     motion: BandLimitedMotion | BandLimitedRecord
     filtered = BandLimitedRecord(
-        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model), slow=True,
-        undone=anti_alias_response(model, rate_hz),
+        y=y if used == [*range(y.shape[1])] else y[:, used], kinds=kinds, rate_hz=rate_hz, band=model.band,
+        extra=shaft_reaction(model), slow=True, undone=anti_alias_response(model, rate_hz),
     )  # fmt: skip
     if filtered.large and not forces:
         motion = filtered
     else:
         both = filtered.whole()
         slow = None if both.slow is None else both.slow[:P]
-        motion = BandLimitedMotion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid, slow)
+        motion = BandLimitedMotion(
+            start=0, a=both.a[:P], v=both.v[:P], x=both.x[:P], u=both.u[:P], valid=both.valid, slow=slow
+        )
         force = {row: both.a[P + i] for i, row in enumerate(forces)}
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
@@ -155,7 +157,9 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     grid = block_layout(rate_hz, model.band, notches(model), FREQUENCY_CELLS if not forces else CELLS_WITH_FORCE)
     if (whole := valid_blocks(motion.valid, grid).size) < 8:
         raise DataError(_too_little(model, grid, motion, whole))
-    return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
+    return Record(
+        model=model, rate_hz=rate_hz, motion=motion, force=force, phase=np.asarray(phase, np.float64), grid=grid
+    )
 
 
 def _too_little(model: Model, grid: BlockLayout, motion: BandLimitedMotion | BandLimitedRecord, whole: int) -> str:
@@ -180,12 +184,12 @@ def as_record(model: Model, rate_hz: float, parts: list[BandLimitedMotion], grid
     valid = np.concatenate([p.valid for p in parts])
     slow = [p.slow[:P] for p in parts if p.slow is not None]
     below = np.concatenate(slow, axis=1) if slow else None
-    motion = BandLimitedMotion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid, below)
+    motion = BandLimitedMotion(start=parts[0].start, a=a[:P], v=v[:P], x=x[:P], u=u[:P], valid=valid, slow=below)
     turns_per_s = (model.speed_rpm or 0.0) / 60.0
     rows = np.arange(motion.start, motion.start + motion.rows)
     phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * rows, dtype=np.float64)
     force = {row: a[P + i] for i, row in enumerate(force_channels(model))}
-    return Record(model, rate_hz, motion, force, phase, grid)
+    return Record(model=model, rate_hz=rate_hz, motion=motion, force=force, phase=phase, grid=grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +229,10 @@ class Bank:
 
         balance, keep = restrict(self.balance, laws)
         grams, tangents = self.grams[:, :, keep][:, :, :, keep], self.fold_tangents[:, keep]
-        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents, self.level,
-                    self.rest)  # fmt: skip
+        return Bank(
+            balance=balance, grid=self.grid, grams=grams, blocks=self.blocks, start=self.start,
+            tangents=self.tangents[keep], fold_tangents=tangents, level=self.level, rest=self.rest,
+        )  # fmt: skip
 
 
 def stretches(blocks: NDArray[np.intp], most: int) -> Iterator[NDArray[np.intp]]:
@@ -274,4 +280,12 @@ def gather(
     grams, counts, starts, means = zip(*(fold for folds, _, _ in parts for fold in folds), strict=True)
     tangents = np.sum([sums for _, sums, _ in parts], axis=0) / sum(rows for _, _, rows in parts)
     blocks = np.array(counts, float)
-    return Bank(balance, grid, np.array(grams), blocks, np.array(starts), tangents, np.array(means))
+    return Bank(
+        balance=balance,
+        grid=grid,
+        grams=np.array(grams),
+        blocks=blocks,
+        start=np.array(starts),
+        tangents=tangents,
+        fold_tangents=np.array(means),
+    )

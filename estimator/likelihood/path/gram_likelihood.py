@@ -70,8 +70,9 @@ def evidence_of(bank: Bank, at: FrequencyNodes | None = None, folds: NDArray[np.
     keep = np.ones(bank.blocks.size, bool) if folds is None else folds
     gram, blocks = bank.grams[keep].sum(axis=0), float(bank.blocks[keep].sum())
     return Evidence(
-        bank.balance, bank.grid, gram, blocks, bank.tangents, frequency_nodes(bank.grid) if at is None else at
-    )
+        balance=bank.balance, grid=bank.grid, gram=gram, blocks=blocks, tangents=bank.tangents,
+        nodes=frequency_nodes(bank.grid) if at is None else at,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,17 +164,14 @@ class Likelihood:
             margin = MARGIN_NODES / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
             shift = shift_past_modes(modes, margin, self.band)
         if shift == 0.0:
-            return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
-        R, ends = (
-            self._responses(shift, f),
-            np.stack([self._responses(x * shift, self.ends) for x in AXIS_TO_LINE_NODES]),
-        )
+            return Line(shift=0.0, R=self.R, A=A, total=self._sum(size), ends=self.R[:0], inverses=A[:0])
+        R = self._responses(shift, f)
+        ends = np.stack([self._responses(x * shift, self.ends) for x in AXIS_TO_LINE_NODES])
         beside, there = B @ R, B @ ends
         determinant = np.linalg.det(beside)
         turned = self._turned(determinant, np.linalg.det(there))
         total = self._sum(np.abs(determinant)) - length * shift * turned / np.pi
-        inverses: Complexes = np.asarray(np.linalg.inv(there), np.complex128)
-        return Line(shift, R, beside, total, ends, inverses)
+        return Line(shift=shift, R=R, A=beside, total=total, ends=ends, inverses=np.asarray(np.linalg.inv(there)))
 
     def _turned(self, determinant: Complexes, ends: Complexes) -> float:
         """rad by which det A turns along the stretches on the mean between axis and line: as often as on the line (f,),
@@ -253,10 +251,12 @@ class Likelihood:
         h_psi = 0.5 * np.einsum("cqi,cri,ci->qr", D, D, count[:, None] / spread**2)
         cross = np.einsum("ce,cqe->eq", (0.5 * n * shift - slope) / s**2, D[:, :, self.row])
         hessian = np.zeros((p + 2 * P, p + 2 * P))
-        hessian[:p, :p], hessian[p:, p:] = h_beta, h_psi
-        hessian[:p, p:] = self.T @ cross
+        hessian[:p, :p], hessian[p:, p:], hessian[:p, p:] = h_beta, h_psi, self.T @ cross
         hessian[p:, :p] = hessian[:p, p:].T
-        return Local(point, nll, np.concatenate([g_beta, g_psi]), hessian, diagonal / count[:, None], gain, spread)
+        return Local(
+            point=point, nll=nll, gradient=np.concatenate([g_beta, g_psi]), hessian=hessian,
+            power=diagonal / count[:, None], floor=gain, spread=spread,
+        )  # fmt: skip
 
     def scores(self, local: Local, grams: Array, blocks: Array) -> Array:
         """(folds, p + 2 P) gradient of each fold; grams (folds, cells, k, k), blocks (folds,)."""

@@ -75,7 +75,15 @@ class Fluctuation:
         data = decimated_record(self.data, by)
         g = np.ascontiguousarray(self.g[:, ::by])
         total = np.ascontiguousarray(self.total[:, ::by])
-        return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole, self.only)
+        return Fluctuation(
+            data=data,
+            place=self.place,
+            total=total,
+            K=_spectra(total, data, g.shape[1]),
+            g=g,
+            whole=self.whole,
+            only=self.only,
+        )
 
 
 def _spectra(tangents: NDArray[np.floating], data: MotionRecord, lags: int) -> TangentSpectra:
@@ -120,6 +128,6 @@ def fluctuations(
         only = own[i][0] if len(own[i]) == 1 else None
         if g is None:
             return None
-        return Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz), only)
+        return Fluctuation(data=part, place=i, total=total, K=K, g=g, whole=self_energy(C, g, dt, data.f_hz), only=only)
 
     return tuple(map_threads(at, range(len(mean))))

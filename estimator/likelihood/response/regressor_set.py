@@ -83,7 +83,17 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
             continue  # of a law that is still zero, or that the motion does not reach
         mean = data.over_folds(slopes)
         out.append(
-            in_single_precision(Regressor(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean))
+            in_single_precision(
+                Regressor(
+                    name=placed.name(k),
+                    unit=q.unit,
+                    series=series,
+                    tangent=mean,
+                    scale=1.0 / rms,
+                    memory=memory,
+                    apart=slopes - mean,
+                )
+            )
         )
     return out
 
@@ -212,7 +222,7 @@ def span_at(base: Sequence[Regressor], i: int) -> Span:
     slopes = np.stack([b.tangent[i] * b.scale for b in own])
     still = np.zeros((TIME_FOLDS, *slopes.shape[1:]))
     apart = np.stack([still if b.apart is None else b.apart[:, i] * b.scale for b in own])
-    return Span(own, part, wide @ wide.T, slopes, apart, memory)
+    return Span(base=own, part=part, gram=wide @ wide.T, slopes=slopes, apart=apart, memory=memory)
 
 
 class Spans:
@@ -277,7 +287,16 @@ def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[Loc
                 series = (series + linear_memory.filtered_series(more, data.x[i], data.rate_hz)).astype(z.dtype)
                 memory[i] = memory.get(i, 0.0) + own_response(more(2 * np.pi * data.f_hz), i, data)
         rms = max(float(data.rms[which, i]), 1e-300)
-        out.append(Regressor(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
+        out.append(
+            Regressor(
+                name=f"{data.places[i]}.{name}",
+                unit=unit,
+                series={i: series},
+                tangent=slope,
+                scale=1.0 / rms,
+                memory=memory,
+            )
+        )
     return out
 
 
