@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,15 +22,15 @@ TWIN_SECONDS = 5.0
 SETTLE_SECONDS = 2.0  # from rest, under a measured force
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Twin:
     """psd_distance_db, pdf_distance : by channel. spectra, densities, orbits : for pictures, SI, as in the report."""
 
-    psd_distance_db: dict[str, float]
-    pdf_distance: dict[str, float]
-    spectra: dict[str, dict[str, list[float]]]
-    densities: dict[str, dict[str, list[float]]]
-    orbits: dict[str, dict[str, list[list[float]]]]
+    psd_distance_db: dict[str, float] = field(default_factory=dict)
+    pdf_distance: dict[str, float] = field(default_factory=dict)
+    spectra: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    densities: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    orbits: dict[str, dict[str, list[list[float]]]] = field(default_factory=dict)
     message: str = ""
 
 
@@ -49,34 +49,13 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         else:
             y = simulate(model, data.rate_hz, TWIN_SECONDS, seed=11)
     except ModelError as problem:
-        return Twin(
-            psd_distance_db={},
-            pdf_distance={},
-            spectra={},
-            densities={},
-            orbits={},
-            message=f"no simulated twin: {problem}",
-        )
+        return Twin(message=f"no simulated twin: {problem}")
     if not np.isfinite(y).all():
-        return Twin(
-            psd_distance_db={},
-            pdf_distance={},
-            spectra={},
-            densities={},
-            orbits={},
-            message="no simulated twin: the simulation of this model diverges",
-        )
+        return Twin(message="no simulated twin: the simulation of this model diverges")
     try:
         own = motion_record(model, y, data.rate_hz, data.block)
     except DataError as problem:
-        return Twin(
-            psd_distance_db={},
-            pdf_distance={},
-            spectra={},
-            densities={},
-            orbits={},
-            message=f"no simulated twin: {problem}",
-        )
+        return Twin(message=f"no simulated twin: {problem}")
     psd: dict[str, float] = {}
     pdf: dict[str, float] = {}
     spectra: dict[str, Any] = {}
