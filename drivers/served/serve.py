@@ -23,6 +23,7 @@ from drivers.simulated.pacing import pump
 from drivers.simulated.simulated import SimulatedDevice, WireFrame
 
 BACKLOG_BYTES = 1 << 16  # what a device can hold while the link is busy; beyond it frames are lost, and counted
+MOST_READERS = 32  # of a socket at a time
 SETTLE_S = 0.1  # a reader that opens a port first throws away what it finds there
 
 
@@ -33,8 +34,9 @@ def serve(
     """Run the device on this link until it is finished or `stop` is set. Blocks.
 
     link : `serial:pty`, `slcan:pty` (a new pseudo-terminal), `serial:PORT`, `slcan:PORT`, `serial:socket://HOST:PORT`
-    (listens there; port 0 takes a free one), or `can:INTERFACE:CHANNEL`. ready(url) is told what to give to `run
-    --link`. speed : None for as fast as the reader takes it; the device then waits for a reader. Raises LinkError.
+    (listens there; port 0 takes a free one; every reader gets the frames from when it comes on), or
+    `can:INTERFACE:CHANNEL`. ready(url) is told what to give to `run --link`. speed : None for as fast as the readers
+    take it; the device then waits for one. Raises LinkError.
     """
     config = parse_link(link)
     serial = isinstance(config, SerialConfig)
@@ -45,7 +47,8 @@ def serve(
         end = _open_end(config)
         ready(f"{'serial' if serial else 'slcan'}:{end.address}")
         try:
-            pump(device, ByteSender(end, serial, stop), speed, stop)
+            send = ToEach(end, serial, stop) if isinstance(end, TcpEnd) else ByteSender(end, serial, stop)
+            pump(device, send, speed, stop)
             end.drain(stop)
         finally:
             end.close()
@@ -67,9 +70,10 @@ def serve(
 
 
 class End(Protocol):
-    """The device's end of a byte stream. `fd` is None while nobody is connected."""
+    """The device's end of a byte stream. `fd` is None while nobody is connected; `gone` if nobody ever will be."""
 
     address: str
+    gone: bool
 
     def fd(self) -> int | None: ...
     def drain(self, stop: threading.Event) -> None: ...
@@ -86,6 +90,8 @@ def _open_end(config: SerialConfig | SlcanConfig) -> End:
 
 class PtyEnd:
     """A new pseudo-terminal; its path is in `address`."""
+
+    gone = False
 
     def __init__(self) -> None:
         import pty
@@ -123,8 +129,38 @@ class PtyEnd:
         os.close(self._master)
 
 
+class TcpReader:
+    """The end of one reader's connection."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._connection.setblocking(False)
+        self.address = ""
+        self.gone = False
+
+    def fd(self) -> int | None:
+        if self.gone:
+            return None
+        try:
+            self.gone = self._connection.recv(1, socket.MSG_PEEK) == b""
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.gone = True
+        return None if self.gone else self._connection.fileno()
+
+    def drain(self, stop: threading.Event) -> None:
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_WR)
+
+    def close(self) -> None:
+        self._connection.close()
+
+
 class TcpEnd:
-    """Listens; serves one reader at a time, the next one when it leaves."""
+    """Listens; `readers` are those that are connected."""
+
+    gone = False
 
     def __init__(self, target: str, url: str) -> None:
         parts = urlsplit(url)
@@ -135,40 +171,56 @@ class TcpEnd:
             raise LinkOpenError(f"{target}: cannot listen there ({error}): choose another port, or 0") from error
         self._listener.setblocking(False)
         self.address = f"socket://{host}:{self._listener.getsockname()[1]}"
-        self._reader: socket.socket | None = None
+        self.readers: list[TcpReader] = []
 
     def fd(self) -> int | None:
-        if self._reader is None:
-            with contextlib.suppress(BlockingIOError):
-                self._reader, _ = self._listener.accept()
-                self._reader.setblocking(False)
-        if self._reader is None:
-            return None
-        try:
-            left = self._reader.recv(1, socket.MSG_PEEK) == b""
-        except BlockingIOError:
-            left = False
-        except OSError:
-            left = True
-        if left:
-            self._reader.close()
-            self._reader = None
-            return None
-        return self._reader.fileno()
+        return next((fd for reader in self.readers if (fd := reader.fd()) is not None), None)
+
+    def accept(self) -> list[TcpReader]:
+        """Those that have come since the last call; those that have left are let go."""
+        for reader in [r for r in self.readers if r.gone]:
+            reader.close()
+            self.readers.remove(reader)
+        new: list[TcpReader] = []
+        with contextlib.suppress(OSError):  # nobody waits, or no more files are to be had
+            while len(self.readers) + len(new) < MOST_READERS:
+                new.append(TcpReader(self._listener.accept()[0]))
+        self.readers += new
+        return new
 
     def drain(self, stop: threading.Event) -> None:
-        if self._reader is not None:
-            with contextlib.suppress(OSError):
-                self._reader.shutdown(socket.SHUT_WR)
+        for reader in self.readers:
+            reader.drain(stop)
 
     def close(self) -> None:
-        if self._reader is not None:
-            self._reader.close()
+        for reader in self.readers:
+            reader.close()
         self._listener.close()
+
+
+class ToEach:
+    """Frames to every reader of a socket. In real time a slow one loses frames, and holds up no other."""
+
+    def __init__(self, end: TcpEnd, serial: bool, stop: threading.Event) -> None:
+        self._end, self._serial, self._stop = end, serial, stop
+        self._senders: list[tuple[TcpReader, ByteSender]] = []
+
+    def __call__(self, frames: Sequence[WireFrame], patient: bool) -> int:
+        while True:
+            self._senders = [(reader, sender) for reader, sender in self._senders if not reader.gone]
+            self._senders += [(r, ByteSender(r, self._serial, self._stop)) for r in self._end.accept()]
+            lost = [sender(frames, patient) for _, sender in self._senders]
+            there = [n for n, (reader, _) in zip(lost, self._senders, strict=True) if not reader.gone]
+            if there or not patient:
+                return min(there, default=0)  # what one of them has is not lost by the device
+            if self._stop.wait(0.01):
+                return 0
 
 
 class PortEnd:
     """A serial port that exists, for example one end of a cable or of socat's pair."""
+
+    gone = False
 
     def __init__(self, target: str, name: str, baud: int) -> None:
         from drivers.serial.byte_port import _connect
@@ -239,7 +291,7 @@ class ByteSender:
         """Write what the link takes; wait for the rest if patient."""
         while self._backlog and not self._stop.is_set():
             fd = self._attend()
-            if fd is None and not patient:
+            if fd is None and (not patient or self._end.gone):
                 self._backlog.clear()  # nobody listens: it is gone, as on a cable
                 return
             done = 0
@@ -268,4 +320,4 @@ class ByteSender:
                 os.write(fd, b"\r" if command else b"")
 
 
-__all__ = ["ByteSender", "End", "PortEnd", "PtyEnd", "TcpEnd", "serve"]
+__all__ = ["ByteSender", "End", "PortEnd", "PtyEnd", "TcpEnd", "TcpReader", "serve"]

@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -317,6 +317,27 @@ def test_reader_of_a_served_device_leaves_and_returns() -> None:
         record = read_until(again, Record(), lambda r: r.samples > 6400)
         again.close()
     assert not [gap for gap in record.gaps if gap.reason != "device_lost"]
+
+
+def test_each_reader_of_a_served_socket_has_every_frame(record_property: Callable[[str, object], None]) -> None:
+    """One that reads nothing, and one that leaves, disturb no other."""
+    device = ramp_device("serial16", seconds=None)
+    with Served("serial:socket://127.0.0.1:0", device, speed=1.0) as served:
+        host, _, port = served.url.removeprefix("serial:socket://").partition(":")
+        drivers: list[Driver] = [served.driver() for _ in range(3)]
+        with socket.create_connection((host, int(port))), socket.create_connection((host, int(port))) as leaver:
+            leaver.close()
+            records = [Record() for _ in drivers]
+            for driver, record in zip(drivers, records, strict=True):
+                read_until(driver, record, lambda r: r.samples > 12_800)
+            late = served.driver()
+            read_until(late, Record(), lambda r: r.samples > 1280)
+        for driver in (*drivers, late):
+            driver.close()
+    lost = [sum(gap.count for gap in r.gaps if gap.reason != "device_lost") for r in records]
+    row = "several readers of `simulate --serve serial:socket://` | 3 that read, 1 that does not, 1 that leaves, 1 late"
+    record_property("reliability", f"{row} | each has every frame | {lost} of 12800 samples lost")
+    assert lost == [0, 0, 0]
 
 
 def test_five_devices_at_once() -> None:
