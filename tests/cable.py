@@ -14,6 +14,8 @@ from ramp_device import ramp_device
 
 from drivers.serial import cobs
 
+DEVICE_BYTES = 1 << 16  # what a device holds while nobody reads: 0.3 s
+
 
 class Cable:
     """A pty behind a name that stays; a thread sends the device's frames at their pace while it is plugged in."""
@@ -60,5 +62,7 @@ class Cable:
                     held = b""  # nothing there to send it to
                     continue
                 held += b"".join(cobs.encode(frame.data) for frame in frames)
-                with contextlib.suppress(BlockingIOError):  # a busy host: later
+                if len(held) > DEVICE_BYTES:  # a busy host, and a device that holds no more
+                    held = held[held.index(0, len(held) - DEVICE_BYTES) + 1 :]
+                with contextlib.suppress(BlockingIOError):
                     held = held[os.write(self._ends[0], held) :]

@@ -57,6 +57,7 @@ class Continuity:
         self._late_s = 0.0  # the last frames came so much later than the promptest of this start
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
         self._neighbours = Neighbours()
+        self._checked = True  # frames have check sums
 
     def describe(self, rate_hz: float) -> None:
         """A new description of the device: what comes is not a continuation of what came."""
@@ -79,6 +80,7 @@ class Continuity:
 
     def feed_unchecked(self, frames: SampleFrames, t_host_ns: int) -> list[Reading]:
         """Readings of a link without check sums: a frame that contradicts its neighbours is dropped, by reason crc."""
+        self._checked = False
         out: list[Reading] = []
         for k, piece in enumerate(self._neighbours.plausible(frames, self.rate_hz)):
             if k:
@@ -196,6 +198,8 @@ class Continuity:
         # samples that never were, up to centuries of them, would be a gap
         claimed, most_s = elapsed if timed else total, FAR_S if ahead == last.rows else AHEAD_S
         far = claimed - (1.0 + AHEAD_SHARE) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
+        if far and timed and total > 0 and claimed - host < FAR_S * self.rate_hz and self._goes_on(last):
+            far = abs(total - elapsed) > slack  # it is we who were behind, and what lay between is lost
         if total < 0 or far or (timed and elapsed < -slack):
             if not self._starts.began(t_host_ns):
                 return self._undescribed(stop - start, t_host_ns)
@@ -218,6 +222,10 @@ class Continuity:
             passed = rows * round(elapsed / rows)  # whole frames, as the device counts
             self._missing(passed - last.rows - already, last, f, start, out)
         return 0
+
+    def _goes_on(self, last: _Anchor) -> bool:
+        """Behind a reconnect the device says that it is the one it was, in the start it was in."""
+        return self._checked and last.epoch > 0 and "reconnect" in self._causes and self._starts.recognised
 
     def _undescribed(self, frames: int, t_host_ns: int) -> int:
         """Another device, or one that began again and may have other settings: its next records will say."""

@@ -70,6 +70,7 @@ class DeviceInfo:
         self._listen(record.serial_number, t_host_ns)
         if self.mixed(t_host_ns):
             return None
+        self.starts.identified = record.serial_number != 0
         self._twice[record.channel] = self._records.get(record.channel) == record
         self._records[record.channel] = record
         device = (record.serial_number, record.epoch, record.layout, record.channels, record.rate_hz, record.count_bits)

@@ -14,8 +14,14 @@ class Starts:
 
     def __init__(self) -> None:
         self._epochs = (0, 0)  # of the description, and of the last records, which may be damaged
+        self.identified = False  # the device has a serial number
         self._heard = False  # a whole description since the last frame that was taken
         self._since_ns: int | None = None  # when frames began to wait for one
+
+    @property
+    def recognised(self) -> bool:
+        """The device has said which one it is, in whole, since the last frame that was taken."""
+        return self._heard and self.identified
 
     def described(self, epoch: int, settled: bool) -> None:
         """Records of every channel have come. settled : they are the description that is used."""

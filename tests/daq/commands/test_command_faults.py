@@ -213,7 +213,8 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
     record_property("reliability", f"{row} | {returned:.2f} s, {100 * share:.2f} % of a core, closed in {took:.2f} s")
     assert_ramp(log)
     assert {"link_lost", "link_back"} <= {n.code for n in log.notices}
-    assert {g.reason for g in log.gaps if g.count > 64 * 400} == {"reconnect"}
+    assert "reconnect" in {g.reason for g in log.gaps if g.count > 64 * 400}
+    assert "restart" not in {g.reason for g in log.gaps}
     assert "reconnect" in said
     assert share < 0.02
     within(returned, 5.0)

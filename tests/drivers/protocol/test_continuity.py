@@ -248,6 +248,29 @@ def test_a_counter_and_a_clock_that_leap_by_days_are_a_restart(
     record_property("reliability", f"{row} | gap of {sum(gap.count for gap in wire.record.gaps)} samples, told")
 
 
+@pytest.mark.parametrize(("serial_number", "exact"), [(7, True), (0, False)])
+@pytest.mark.parametrize("layout", ["fd16", "serial16"])
+def test_what_was_read_late_before_a_reconnect_shifts_nothing(
+    layout: str, serial_number: int, exact: bool, record_property: Callable[[str, object], None]
+) -> None:
+    """A busy host reads what was sent 70 s ago, then the link is lost: the same device, by its serial and start number,
+    is 74 s on after 4 s. One without a serial number may be another."""
+    wire = Wire(ramp_device(layout, 2048.0, None, serial_number=serial_number))
+    rows = wire.device.config.frame_rows
+    n = round(2 * 2048 / rows)
+    wire.feed([replace(f, due_s=f.due_s + 70.0) for f in wire.device.next(n)])
+    wire.device.next(round(72 * 2048 / rows))
+    wire.decoder.cause("reconnect")
+    wire.feed([replace(f, due_s=f.due_s + 2.0) for f in wire.device.next(3 * n)])
+    lost = sum(gap.count for gap in wire.record.gaps)
+    assert (wire.record.offset == 0) is exact
+    assert {gap.reason for gap in wire.record.gaps} == ({"reconnect"} if exact else {"restart"})
+    if exact:
+        how = f"what was sent 70 s ago is read, the link is lost and comes back, {layout}"
+        row = f"host far behind before a reconnect | {how} | no index shifts | gap of {lost} samples, the rest in place"
+        record_property("reliability", row)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_two_devices_with_the_same_identifiers_are_told_and_not_mixed(
     layout: str, record_property: Callable[[str, object], None]
