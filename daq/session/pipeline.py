@@ -21,8 +21,8 @@ from estimator.results import Estimate
 from .estimation import Estimation
 from .estimator_runner import BUSY_BLOCKS, EstimatorRunner
 from .estimators import MakeEstimator
+from .layer_watch import LAYER_CODES
 from .ledger import Ledger
-from .record_watch import RECORD_FINDING
 from .watch import Watch
 
 STATUS_NS = 1_000_000_000
@@ -33,7 +33,7 @@ NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go
 OWN_CODES = frozenset(
     {"clipped", "no_estimate", "estimator_failed", "sink_failed", "channels_by_order", "stopped_behind"}
     | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
-    | {RECORD_FINDING}
+    | LAYER_CODES
 )
 
 LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say that the log does not hold everything

@@ -17,9 +17,9 @@ from daq.rig.rig import Rig
 from drivers.contract import LinkOpenError
 
 from .acquire import FINITE_KINDS, RECORDED_KINDS, Notify, RunSummary, acquire_from
+from .layer_watch import LayerWatch
 from .links import open_driver
 from .naming import Naming
-from .record_watch import RecordWatch
 from .replay import logged_rig, replay_into
 
 
@@ -153,12 +153,12 @@ def _sinks(rig: Rig, out: str | Path | None, live: bool, recorded: Recorded | No
 
 
 def naming_sinks(rig: Rig, live: bool) -> list[Sink]:
-    """The sinks that say what is wrong with the channels, and name a force that begins to be missing.
+    """The sinks that say what the layers see, and name a force that begins to be missing.
 
     The second one is there if the rolling estimate of the rig looks for a missing force.
     """
     naming: list[Sink] = [Naming(rig, live)] if rig.estimator.method == "spectral" else []
-    return [RecordWatch(rig.model, live), *naming]
+    return [LayerWatch(rig.model, live, rig.si_units), *naming]
 
 
 def log_path(sinks: Sequence[Sink], out: Path | None) -> Path | None:

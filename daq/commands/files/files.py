@@ -91,7 +91,7 @@ def _notices(notices: Sequence[Notice]) -> list[tuple[str, str]]:
     often = Counter(n.code for n in notices)
     kinds = sorted(last.values(), key=lambda n: n.level == "info")
     times = {code: f" ({count} times)" if count > 1 else "" for code, count in often.items()}
-    lines = [f"{n.level}: {n.text}{times[n.code]}" for n in kinds[:MOST_LINES]]
+    lines = [f"{n.level}: {(n.text.splitlines() or [''])[0]}{times[n.code]}" for n in kinds[:MOST_LINES]]
     if len(kinds) > MOST_LINES:
         lines.append(f"and {len(kinds) - MOST_LINES} other kinds: --json has them")
     return list(zip(["notices"] + [""] * len(lines), lines, strict=False))

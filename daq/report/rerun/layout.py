@@ -96,11 +96,12 @@ def _estimates(parameters: Mapping[str, str], missing_force: bool) -> list[Any]:
 
 
 def _health() -> Any:
-    """Tabs of the log and of what the stages of the session say of themselves."""
+    """Tabs of the log, of the layers of the last seconds, and of what the stages of the session say of themselves."""
     import rerun.blueprint as rrb
 
     return rrb.Tabs(
         rrb.TextLogView(origin="log", name="Log"),
+        rrb.TextDocumentView(origin="layers", name="Layers"),
         _series("health/lost", "Lost and damaged, running total"),
         _series("health/lag", "Lag of each stage [s]"),
         _series("health/clock", "Clock"),

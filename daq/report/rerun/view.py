@@ -83,6 +83,9 @@ class RerunView:
                 self._block(item)
             case Gap():
                 self._gap(item)
+            case Notice(code="layers"):
+                self._at(self._index)
+                self._layers(item.text)
             case Notice():
                 self._at(self._index)
                 self._say(WORD_OF_LEVEL.get(item.level, "INFO"), f"{item.code}: {item.text}")
@@ -297,6 +300,12 @@ class RerunView:
 
     def _say(self, level: str, text: str) -> None:
         self._to.log("log", self._rr.TextLog(text, level=level))
+
+    def _layers(self, text: str) -> None:
+        """The layers of the last seconds, a line each."""
+        heading, *lines = text.splitlines() or [""]
+        body = "\n".join([f"**{heading}**", "", *(f"- {line}" if line[:1] != " " else f"  {line}" for line in lines)])
+        self._to.log("layers", self._rr.TextDocument(body, media_type=self._rr.MediaType.MARKDOWN))
 
     def _text(self, path: str, *parts: str) -> None:
         body = "\n\n".join(f"```\n{part}\n```" if k == 0 else part for k, part in enumerate(parts) if part)

@@ -58,9 +58,11 @@ def test_a_device_that_changes(tmp_path: Path) -> None:
     items: list[object] = [*blocks(1, 1000.0, 2.0), second, *blocks(2, 8000.0, 2.0, 2000)]
     items += [*blocks(3, 8000.0, 0.1, 18000), Gap(18000, 10**14, "silent"), *blocks(2, 8000.0, 2.0, 18000 + 10**14)]
     items += [Gap(5, 0, "duplicate"), *blocks(2, 8000.0, 0.5, 100), Notice(1, "odd", "code", "text"), first]
+    items += [Notice(2, "info", "layers", "layers from 0 to 10 s\nrecord: b1x rms 1\n  b1y rms 2")]
     rows = draw(tmp_path / "a.rrd", first, items)
     assert rows["waveform/1/b"] > 900
     assert rows["log"] >= 5
+    assert rows["layers"] == 1
 
 
 def test_what_the_data_cannot_tell_is_a_hole(tmp_path: Path) -> None:

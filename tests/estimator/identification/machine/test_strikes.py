@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 from estimator.arrays import Array
-from estimator.identification.machine import MachineSurvey, strikes_of_block, survey_machine
+from estimator.identification.machine import MachineSurvey, survey_machine
 from estimator.model import BearingGeometry, Channel, Model
 
 RATE_HZ, SECONDS, SHAFT_HZ = 10240.0, 4.0, 29.3
@@ -110,9 +110,9 @@ def test_short_pieces_are_enough() -> None:
 
 
 def test_a_defect_is_found_in_a_live_block() -> None:
-    (train,) = strikes_of_block(MODEL, (noise(3) + strikes(BPFO, 4.0, 4))[:, None], RATE_HZ)
+    (train,) = survey_machine(MODEL, (noise(3) + strikes(BPFO, 4.0, 4))[:, None], RATE_HZ, live=True).strikes
     assert train.name == "BPFO"
-    assert strikes_of_block(MODEL, noise(3)[:, None], RATE_HZ) == ()
+    assert survey_machine(MODEL, noise(3)[:, None], RATE_HZ, live=True).strikes == ()
 
 
 def test_a_tacho_follows_a_speed_that_wanders() -> None:

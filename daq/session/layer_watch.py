@@ -1,0 +1,144 @@
+"""Says while a session runs what the layers of a diagnosis see: the record, the machine and the structure.
+
+What makes a channel unfit to be judged, and a strike train, are said as they come. A window of ten seconds is looked
+at, one after the other, so a strike train is flagged within 20 s of its beginning.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.base.contract.sink import Session, SinkHealth, Status
+from daq.report.layers import lines, strike_text, tone_name, tone_text
+from drivers.contract import Block, Info, Notice, Reading
+from estimator import Model
+from estimator.results import Estimate
+
+from .ring import KeptSamples
+
+if TYPE_CHECKING:
+    from estimator.identification.structure import StructureSurvey
+
+WINDOW_S = 10.0  # that is looked at, one after the other
+STRUCTURE_EVERY = 3  # windows: modes change slowly
+FORGET_WINDOWS = 3  # without a train or a tone, before it is said again
+SAID_ELSEWHERE = frozenset({"gaps", "missing_samples", "empty_channel"})  # by the ledger and the watch of the link
+RECORD_FINDING, STRIKES_FOUND = "record_finding", "strikes_found"  # codes of warnings
+TONES_FOUND, LAYERS = "tones_found", "layers"  # codes of remarks; the last one has all layers, a line each
+LAYER_CODES = frozenset({RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LAYERS})
+
+
+class LayerWatch:
+    """A sink. live : a window is left out while the look at the one before goes on; a replay waits for it.
+
+    Looks are taken in a thread. The windows are multiples of the absolute index, so a replay says the same.
+    """
+
+    def __init__(self, model: Model, live: bool, units: Sequence[str]) -> None:
+        """units : SI unit of each channel."""
+        self._model, self._live = model, live
+        self._units = dict(zip((c.name for c in model.channels), units, strict=True))
+        self._kept = KeptSamples(model, 2.0 * WINDOW_S)
+        self._info: Info | None = None
+        self._next: int | None = None  # first sample of the next window
+        self._standing: dict[tuple[str, ...], int] = {}  # what has been said -> the last window that shows it
+        self._structure: StructureSurvey | None = None
+        self._notices: deque[Notice] = deque()
+        self._thread: threading.Thread | None = None
+
+    def start(self, session: Session) -> None:
+        self._begin(session.info)
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        for reading in batch:
+            if isinstance(reading, Info) and reading != self._info:
+                self._begin(reading)
+            elif isinstance(reading, Block):
+                self._kept.append(reading)
+                self._look(reading.index)
+
+    def estimate(self, estimate: Estimate) -> None: ...
+
+    def status(self, status: Status) -> None: ...
+
+    def close(self) -> None: ...
+
+    def health(self) -> SinkHealth:
+        pending = self._thread is not None and self._thread.is_alive()  # asked first: it speaks before it ends
+        out = []
+        while self._notices:
+            out.append(self._notices.popleft())
+        return SinkHealth(0.0, 0, tuple(out), pending)
+
+    def _begin(self, info: Info) -> None:
+        self._info, self._next = info, None
+        self._kept.begin(info)
+
+    def _look(self, index: int) -> None:
+        """Look at the window that is complete, if there is one. index : of the block."""
+        rows = max(1, round(WINDOW_S * self._kept.rate_hz))
+        if self._next is None:
+            self._next = -(-index // rows) * rows
+        if self._kept.stop < self._next + rows:
+            return
+        window = self._kept.stop // rows - 1
+        self._next = (window + 1) * rows
+        if self._thread is not None and self._thread.is_alive():
+            if self._live:
+                return
+            self._thread.join()
+        y = self._kept.samples(window * rows, (window + 1) * rows)
+        self._thread = threading.Thread(
+            target=self._survey, args=(y, self._kept.rate_hz, window), name="layer watch", daemon=True
+        )
+        self._thread.start()
+
+    def _survey(self, y: NDArray[np.float64], rate_hz: float, window: int) -> None:
+        """Say what is new in a window. window : its number."""
+        from estimator.identification.machine import survey_machine
+        from estimator.identification.record import survey_record, without_spikes
+        from estimator.identification.structure import survey_structure
+
+        record = survey_record(self._model, y, rate_hz)
+        first_s = window * len(y) / rate_hz
+        of_window = f" (times from {first_s:.0f} s on)" if window else ""
+        for finding in record.findings:
+            if finding.code not in SAID_ELSEWHERE and self._is_new((finding.code, *finding.channels), window):
+                self._say("warning", RECORD_FINDING, finding.text + of_window)
+        y = without_spikes(self._model, y, record)
+        machine = survey_machine(self._model, y, rate_hz, record, live=True)
+        when = f"{first_s:.0f} to {first_s + len(y) / rate_hz:.0f} s"
+        told = machine.to_json()
+        for train in told["strikes"]:
+            if self._is_new((STRIKES_FOUND, train["name"]), window):
+                self._say("warning", STRIKES_FOUND, f"{strike_text(train)}, seen from {when}")
+        tones = [tone for tone in told["tones"] if self._is_new((TONES_FOUND, _rounded(tone_name(tone))), window)]
+        if tones:
+            self._say("info", TONES_FOUND, f"tones from {when}: " + "; ".join(map(tone_text, tones)))
+        if self._structure is None or window % STRUCTURE_EVERY == 0:
+            self._structure = survey_structure(self._model, y, rate_hz, record, machine)
+        seen = {"record": record.to_json(), "machine": told, "structure": self._structure.to_json()}
+        text = [f"{name}: {line}" if name else f"  {line}" for name, line in lines(seen, self._units)]
+        self._say("info", LAYERS, "\n".join([f"layers from {when}", *text]))
+
+    def _is_new(self, key: tuple[str, ...], window: int) -> bool:
+        """Whether something has not been seen in the windows before."""
+        before = self._standing.get(key)
+        self._standing[key] = window
+        return before is None or window - before > FORGET_WINDOWS
+
+    def _say(self, level: str, code: str, text: str) -> None:
+        self._notices.append(Notice(time.monotonic_ns(), level, code, text))
+
+
+def _rounded(name: str) -> str:
+    """A name of a tone in which a frequency that wanders by a few per cent is one."""
+    words = [f"{float(word):.2g}" if word.replace(".", "", 1).isdigit() else word for word in name.split()]
+    return " ".join(words)
