@@ -31,8 +31,8 @@ STRUCTURE_EVERY = 3  # windows: modes change slowly
 FORGET_WINDOWS = 3  # without a train or a tone, before it is said again
 SAID_ELSEWHERE = frozenset({"gaps", "missing_samples", "empty_channel"})  # by the ledger and the watch of the link
 RECORD_FINDING, STRIKES_FOUND = "record_finding", "strikes_found"  # codes of warnings
-TONES_FOUND, LAYERS = "tones_found", "layers"  # codes of remarks; the last one has all layers, a line each
-LAYER_CODES = frozenset({RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LAYERS})
+TONES_FOUND, LAYERS_SEEN = "tones_found", "layers"  # codes of remarks; the last one has all layers, a line each
+LAYER_CODES = frozenset({RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LAYERS_SEEN})
 
 
 class LayerWatch:
@@ -126,7 +126,7 @@ class LayerWatch:
             self._structure = survey_structure(self._model, y, rate_hz, record, machine)
         seen = {"record": record.to_json(), "machine": told, "structure": self._structure.to_json()}
         text = [f"{name}: {line}" if name else f"  {line}" for name, line in lines(seen, self._units)]
-        self._say("info", LAYERS, "\n".join([f"layers from {when}", *text]))
+        self._say("info", LAYERS_SEEN, "\n".join([f"layers from {when}", *text]))
 
     def _is_new(self, key: tuple[str, ...], window: int) -> bool:
         """Whether something has not been seen in the windows before."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.base.contract.sink import Session
 from daq.rig.rig import Rig
-from daq.session.layer_watch import LAYERS, RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LayerWatch
+from daq.session.layer_watch import LAYERS_SEEN, RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LayerWatch
 from drivers.contract.reading import Block, Info, Notice, Signal
 
 RATE_HZ = 1000.0
@@ -105,7 +105,7 @@ def test_a_strike_train_is_flagged_within_20_s_of_its_beginning_and_once() -> No
     assert flagged.text.endswith("seen from 10 to 20 s"), "at 20 s, 7 s after its beginning"
     tones, *_ = (n for n in found if n.code == TONES_FOUND)
     assert "1X" in tones.text
-    first, *_, last = (n.text.splitlines() for n in found if n.code == LAYERS)
+    first, *_, last = (n.text.splitlines() for n in found if n.code == LAYERS_SEEN)
     assert first[0] == "layers from 0 to 10 s"
     assert any(line.startswith("structure: ") for line in first)
     assert any("no strike train" in line for line in first)
