@@ -9,7 +9,6 @@ from typing import Literal
 from estimator.arrays import Array
 from estimator.model.rig import Model
 from estimator.results import Fit
-from estimator.signals.shaft_angle import measured_phase
 
 from .judgeable import judgeable_record, survey_layers
 
@@ -62,13 +61,10 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
 
 
 def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
-    """By the path likelihood, at the shaft angle of a tacho channel if there is one."""
+    """By the path likelihood."""
     from .batch import spectral
 
-    phase = measured_phase(model, y, rate_hz)
-    return (
-        spectral.fit_spectral(model, y, rate_hz) if phase is None else spectral.fit_spectral(model, y, rate_hz, phase)
-    )
+    return spectral.fit_spectral(model, y, rate_hz)
 
 
 def _fokker_planck(model: Model, y: Array, rate_hz: float) -> Fit:

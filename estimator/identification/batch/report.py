@@ -10,8 +10,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.motion.stream_record import Bank, Record
-from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
-from estimator.likelihood.path.sandwich import fold_tangent_scores
+from estimator.likelihood.path.gram_likelihood import Local, Point
 from estimator.model.rig import LINEAR_UNITS, Model
 from estimator.results import Message, Parameter, with_unidentifiable_at
 
@@ -62,7 +61,7 @@ def fit_from_start(
 ) -> SpectralFit:
     """A model fitted to a record from a linear start. values : start values by full name; they override the model's."""
     best = maximum(record, start, model, values)
-    covariance = sandwich_covariance(best.likelihood, best.local, best.bank)
+    covariance = inverse(best.local)
     return SpectralFit(
         record=record,
         start=start,
@@ -72,29 +71,6 @@ def fit_from_start(
         covariance=covariance,
         converged=best.converged,
     )
-
-
-def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
-    """(p + 2 P, p + 2 P) covariance H^-1 J H^-1, J from the scores of the folds of time; H^-1 if the folds are few."""
-    bread, used, folds = inverse(local), active(local.point), bank.blocks.size
-    if folds < 3 * used.size:
-        return bread
-    g = likelihood.scores(local, bank.grams, bank.blocks)
-    if not likelihood.known:
-        g[:, : local.point.beta.size] -= fold_tangent_scores(likelihood, local, bank)
-    g = g[:, used]
-    m = float(bank.blocks.mean())
-    lost = (1 + 2 * BLOCK_ENERGY_CORRELATION) / (
-        1 + 2 * BLOCK_ENERGY_CORRELATION * (m - 1) / m
-    )  # neighbouring folds share half a block
-    J = (g.T @ g) * lost * folds / (folds - used.size)
-    H = bread[np.ix_(used, used)]
-    loose = ~np.isfinite(np.diag(H))
-    H = np.where(np.isfinite(H), H, 0.0)
-    covariance = H @ J @ H
-    covariance[loose, loose] = np.inf
-    bread[np.ix_(used, used)] = covariance
-    return bread
 
 
 def fitted_parameters(gram_fit: SpectralFit) -> dict[str, Parameter]:

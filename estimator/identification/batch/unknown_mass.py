@@ -13,16 +13,21 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
+from estimator.likelihood.fitting.fitted_values import fitted_parameters
+from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
+from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
+from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
 from estimator.results import Message, Parameter, is_of_place
-from estimator.signals.channel_response import corrected_record, measured_force_places
+from estimator.signals.channel_response import measured_force_places
 
-from .measured_force import analyse
-from .report import fitted_parameters, ratios_only_message
-
+MASS_START_S = 8.0  # of the record, on which several start masses are tried
+MAX_START_STEP_SD = 1.0  # last step of a start, standard deviations: with a larger one the fit has gone astray
+START_MASSES_REL = (0.05, 0.15, 0.5, 1.5)  # of the disc: start values of unknown cap masses
 NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
 
@@ -33,12 +38,28 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
         return model, {}
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC_EFFECTS)
     try:
-        fitted = fitted_parameters(analyse(replace(model, effects=laws), corrected_record(model, y, rate_hz), rate_hz))
+        data = prepare(replace(model, effects=laws), y, rate_hz, left_out)
+        point = _fit_from_several_masses(data, located_laws(replace(model, effects=laws), data), model)
     except DataError:  # the fit that follows says what is wrong
         return model, {}
+    fitted = fitted_parameters(point)
     estimated = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
     found = {p: q.value for p in left_out if (q := estimated[f"{p}.m"]).identifiable and q.value and q.value > 0.0}
     return replace(model, mass={**model.mass, **found}), {f"{p}.m": estimated[f"{p}.m"] for p in found}
+
+
+def _fit_from_several_masses(data: MotionRecord, laws: list[LocatedLaw], model: Model) -> WorkingPoint:
+    """The likeliest fit with free masses; the likelihood has several maxima. Of a part of the record, then of all."""
+    part = leading_blocks(data, MASS_START_S)
+    points = [
+        fit_model(part.with_mass(np.full(part.mass.size, share * model.mass["disc"])), laws)
+        for share in START_MASSES_REL
+    ]
+    sound = [p for p in points if min(*p.kL, *p.c) > 0.0 and last_step_sd(p) < MAX_START_STEP_SD]
+    if not sound:
+        raise DataError("the shaft does not give the masses that the rig file leaves out: give [rig.mass]")
+    best = max(sound, key=lambda point: point.fit.log_likelihood)
+    return best if part is data else fit_model(data, list(best.placed), best)
 
 
 def places_scaled_by_shaft(model: Model) -> list[str]:
@@ -56,9 +77,19 @@ def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
     """A message for each place of unknown mass, with the resonance and the damping ratio."""
     at = [point.data.places.index(p) for p in places_without_mass(model)]
     return tuple(
-        ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
+        _ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
         for i in at if point.kL[i] > 0.0
     )  # fmt: skip
+
+
+def _ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
+    """A message with the resonance and the damping ratio of a place of unknown mass. kL, c, m : at any scale."""
+    hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
+    text = (
+        f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, damping "
+        f"{100 * zeta:.2f} % of critical; give [rig.mass] to get stiffness in N/m"
+    )
+    return Message("mass_unknown", text, place)
 
 
 def with_mass_uncertainty(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.likelihood.motion.located_law import LocatedLaw
+from estimator.likelihood.path.uncertainty import joint_covariance
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
@@ -53,13 +54,18 @@ def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
 def fitted_parameters(point: WorkingPoint) -> dict[str, Parameter]:
     """Every parameter of a working point by full name, with its standard deviation."""
     places = point.data.places
-    sd = dict(zip(point.fit.names, np.sqrt(np.diag(point.fit.covariance)) * point.fit.scales, strict=True))
+    k = len(point.fit.names)
+    spread = np.sqrt(np.diag(joint_covariance(point)))
+    sd = dict(zip(point.fit.names, spread[:k] * point.fit.scales, strict=True))
     out: dict[str, Parameter] = {}
     for i, place in enumerate(places):
-        out[f"{place}.kL"] = Parameter.from_estimate(float(point.kL[i]), sd[f"{place}.kL"], "N/m")
-        out[f"{place}.c"] = Parameter.from_estimate(float(point.c[i]), sd[f"{place}.c"], "N s/m")
-        bins = float(point.gram.n[i].sum())
-        out[f"{place}.S"] = Parameter.from_estimate(float(point.S[i]), float(point.S[i] / np.sqrt(bins)), "N^2/Hz")
+        linear = {"kL": (point.kL[i], "N/m"), "c": (point.c[i], "N s/m")}
+        linear |= {"m": (point.data.mass[i], "kg")} if f"{place}.m" in sd else {}
+        for key, (value, unit) in linear.items():
+            name = f"{place}.{key}"
+            known = Parameter(float(value), 0.0, unit, reason="given")
+            out[name] = Parameter.from_estimate(float(value), sd[name], unit) if name in sd else known
+        out[f"{place}.S"] = Parameter.from_estimate(float(point.S[i]), float(point.S[i] * spread[k + i]), "N^2/Hz")
     for use in point.placed:
         for k, q in enumerate(use.effect.parameters):
             name = use.name(k)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array
+from estimator.arrays import Array, Complexes
 from estimator.effects.engine.strength import search_range
 from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
 from estimator.likelihood.motion.located_law import (
@@ -38,8 +38,11 @@ PART_GROWTH = 3.0  # length of a part over that of the part before
 MAX_ROUNDS, MAX_LAST_ROUNDS = 6, 3  # of steps: on the first part, and on the whole record after it
 NOISE_TOLERANCE_REL = 0.3  # of the sensor noise between steps: neighbours on the grid of its search
 MIN_STIFFNESS_SHARE = 0.3  # of a stiffness after a step over that before it, where the force is measured
+MAX_MASS_FACTOR = 2.0  # of a fitted mass in one step
 MAX_LAST_STEP_SD = 0.3  # last step of a fit, standard deviations; the remaining error is a tenth of it or less
 MAX_PART_STEP_SD = 0.5  # last step on a part of a record, standard deviations
+START_BLOCKS = 40  # number of blocks for the start values
+START_DAMPING_RATIOS = 0.001, 1.0, 40  # of critical, least and largest that are tried at the start, and how many
 SPECTRUM_BLOCKS = 80  # number of blocks for the spectrum of the motion
 LEFT_OUT_TOLERANCE_REL = 0.05  # of the motion outside the band, between steps
 MAX_STILL_STEP_SD = 1.0  # step below which the below-band displacement is kept, standard deviations
@@ -68,13 +71,16 @@ def fit_model(
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared) - len(data.periodic_amplitudes)]
         kL, c, uses = _stepped(point, kL, c)
+        mass = _stepped_mass(point)
         nu_old, (nu, weight) = nu, sensor_noise_ratio(point)
         settled = np.allclose(
             nu * weight, nu_old * weight, rtol=NOISE_TOLERANCE_REL, atol=NOISE_TOLERANCE_REL * MIN_NOISE_RATIO
         )
         data, settled = _renewed_record(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
-            return replace(point, kL=kL, c=c, placed=tuple(uses))
+            data = point.data.with_mass(mass) if point.data.free_inertia else point.data
+            return replace(point, data=data, kL=kL, c=c, placed=tuple(uses))
+        data = data.with_mass(mass) if data.free_inertia else data
         rounds -= 1
         del point  # frees its spectra before the next are made
 
@@ -89,6 +95,7 @@ def _start_values(
         return _denoised(replace(data, out_of_band_sd=_out_of_band_sd_at(data, c, kL, S)), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
+        data = data.with_mass(start.data.mass) if data.free_inertia else data
         data = _denoised(replace(data, out_of_band_sd=start.data.out_of_band_sd), nu, start.S)
     if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
         kL, c, _ = _first_linear_values(data, uses, start.lin)
@@ -133,26 +140,46 @@ def _fit_of_parts(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_
 def _first_linear_values(
     data: MotionRecord, uses: Sequence[LocatedLaw] = (), lin: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """kL by least squares, c from the power balance S = 4 c m E[v^2], and S, (places,) each.
+    """kL by least squares, c of the likeliest single oscillator of that stiffness, and S, (places,) each.
 
-    Least squares is consistent for kL, because E[a v] = 0.
+    Least squares is consistent for kL, because E[a v] = 0, and for c where the force is measured. All three are taken
+    from the fitted bins, which tones are not in.
 
     uses : laws whose force, at (places, 3) m, kL, c, is taken out of the balance.
     """
     kL, c, powers = np.zeros((3, len(data.places)))
-    for i in range(len(data.places)):
-        x, v = data.x[i], data.v[i]
+    for i, place in enumerate(data.places):
         known = data.known[i]
         for use in uses:
             if i in use.at and lin is not None:
                 known = known + law_along_record(use, data, i, lin)[0]
-        kL[i] = -np.dot(x, known) / np.dot(x, x)
-        f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
-        power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
-        S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
-        c[i] = (S + data.measured_force_psd[i]) / (4 * data.mass[i] * np.mean(v * v))
-        powers[i] = S
+        force, x, v = (_start_spectrum(data, z) for z in (known, data.x[i], data.v[i]))
+        kL[i] = data.held.get(f"{place}.kL", -np.vdot(x, force).real / np.vdot(x, x).real)
+        force += kL[i] * x
+        if data.measured_force_psd[i] > 0.0:
+            damping = np.array([-np.vdot(v, force).real / np.vdot(v, v).real])
+        else:
+            damping = 2 * np.geomspace(*START_DAMPING_RATIOS) * np.sqrt(max(kL[i], 0.0) * data.mass[i])
+        damping = np.array([data.held[f"{place}.c"]]) if f"{place}.c" in data.held else damping
+        Q = np.mean(np.abs(force) ** 2) + damping * (2 * np.vdot(v, force).real + damping * np.vdot(v, v).real) / x.size
+        w = 2 * np.pi * data.f_hz
+        A = data.mass[i] - kL[i] / w**2 - 1j * damping[:, None] / w
+        best = int(np.argmin(np.log(Q) - 2 * np.log(np.abs(A)).mean(axis=1)))
+        c[i], powers[i] = damping[best], Q[best]
     return kL, c, powers
+
+
+def _start_spectrum(data: MotionRecord, series: NDArray[np.floating]) -> Complexes:
+    """(blocks, bins) spectra of a series (n,) in some of the blocks; the mean square is the one-sided PSD."""
+    some = series.reshape(data.blocks, data.block)[:: max(1, data.blocks // START_BLOCKS)]
+    window = np.hanning(data.block)
+    scale = np.sqrt(2.0 / (data.rate_hz * np.sum(window**2)))
+    return np.asarray(scale * np.fft.rfft(some * window, axis=1)[:, data.bins], np.complex128)
+
+
+def last_step_sd(point: WorkingPoint) -> float:
+    """The largest increment of the last step of a fit, standard deviations."""
+    return float((np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))).max(initial=0.0))
 
 
 def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[LocatedLaw]]:
@@ -164,8 +191,8 @@ def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, li
     least = np.where(
         point.data.measured_force_psd > 0.0, MIN_STIFFNESS_SHARE * kL, -np.inf
     )  # a known force forgives no step too far
-    kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
-    c = c + np.array([step[f"{p}.c"] for p in places])
+    kL = np.maximum(kL + np.array([step.get(f"{p}.kL", 0.0) for p in places]), least)
+    c = c + np.array([step.get(f"{p}.c", 0.0) for p in places])
     uses = []
     for use, own in zip(point.placed, bounds, strict=True):
         p = use.p + np.array([step.get(use.name(k), 0.0) for k in range(use.p.size)])
@@ -173,6 +200,15 @@ def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, li
             p[k] = np.clip(p[k], use.p[k] + low, use.p[k] + high)
         uses.append(use.with_values(p))
     return kL, c, uses
+
+
+def _stepped_mass(point: WorkingPoint) -> Array:
+    """(places,) kg, masses after the step of the fit; a mass grows or shrinks by MAX_MASS_FACTOR at most."""
+    mass, names = point.data.mass.copy(), point.fit.names
+    for i in point.data.free_inertia:
+        step = point.fit.value(f"{point.data.places[i]}.m")[0] if f"{point.data.places[i]}.m" in names else 0.0
+        mass[i] = np.clip(mass[i] + step, mass[i] / MAX_MASS_FACTOR, mass[i] * MAX_MASS_FACTOR)
+    return mass
 
 
 def _step_limits(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[float, float]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,9 @@ class MotionRecord:
     disc : the disc on its shaft; None without one.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
     lines : narrow lines of the record in the band, whose bins are left out.
+    held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
+    free_inertia : by index of a place whose mass is fitted, (n,) m/s^2 band-limited acceleration.
+    residual_is_noise : whether the force is measured at every place and the residual force is noise of the sensors.
     """
 
     places: tuple[str, ...]
@@ -93,6 +96,9 @@ class MotionRecord:
     disc: Disc | None = None
     below_band_force: Series | None = None
     lines: tuple[LineBand, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
+    free_inertia: Mapping[int, Series] = field(default_factory=dict)
+    residual_is_noise: bool = False
 
     @property
     def measured_force(self) -> bool:
@@ -211,8 +217,17 @@ class MotionRecord:
             return z[..., rows] if isinstance(rows, slice) else np.ascontiguousarray(z[..., rows])
 
         force = None if self.below_band_force is None else taken(self.below_band_force)
+        inertia = {i: taken(a) for i, a in self.free_inertia.items()}
         same = {"known": taken(self.known), "t": taken(self.t), "phase": taken(self.phase), "below_band_force": force}
-        return self.states(taken, **same, **rest)
+        return self.states(taken, free_inertia=inertia, **same, **rest)
+
+    def with_mass(self, mass: Array) -> MotionRecord:
+        """Record with other masses (places,), kg, at the places where the mass is fitted."""
+        known, new = self.known.copy(), self.mass.copy()
+        for i, a in self.free_inertia.items():
+            known[i] += np.float32(mass[i] - self.mass[i]) * a
+            new[i] = mass[i]
+        return replace(self, known=known, mass=new)
 
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:

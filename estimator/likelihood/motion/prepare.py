@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -33,10 +34,15 @@ MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is 
 MAX_SAMPLES = 6e6
 
 
-def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
-    """Motion record of y (n, channels), SI, at most MAX_SAMPLES of it. Raises DataError as `motion_record` does."""
+def prepare(model: Model, y: Array, rate_hz: float, free_masses: Collection[str] = ()) -> MotionRecord:
+    """Motion record of y (n, channels), SI, at most MAX_SAMPLES of it.
+
+    free_masses : places whose mass is fitted, beside those of unknown mass under a measured force. Raises DataError as
+    `motion_record` does.
+    """
     return_freed_memory(y)
-    return motion_record(model, corrected_record(model, y, rate_hz), rate_hz, most_samples=MAX_SAMPLES)
+    y = corrected_record(model, y, rate_hz)
+    return motion_record(model, y, rate_hz, most_samples=MAX_SAMPLES, free_masses=free_masses)
 
 
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
@@ -53,8 +59,9 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
 
 
 def motion_record(
-    model: Model, y: Array, rate_hz: float, block: int = 8192, most_samples: float = np.inf
-) -> MotionRecord:
+    model: Model, y: Array, rate_hz: float, block: int = 8192, most_samples: float = np.inf,
+    free_masses: Collection[str] = (),
+) -> MotionRecord:  # fmt: skip
     """Motion record of y (n, channels of the model), SI, in valid blocks of `block` rows (less for a short record).
 
     most_samples : of all places; of a longer record the first blocks of every time fold are kept. Raises DataError if
@@ -86,6 +93,7 @@ def motion_record(
     measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
     slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
+    loose = {p for p in (*shaken, *free_masses) if model.cap_mass(p) is None}
     known = _inertia_and_shaft(model, mass, a, v, x, u)
     driven = np.zeros(P)
     for i, force in measured.items():
@@ -106,8 +114,15 @@ def motion_record(
         periodic_below_band=below_band_forces(model, places), below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
         lines=tuple(b for b in model.line_bands if model.band[0] < b.centre_hz < model.band[1]),
+        held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},
         **_spectra_of_model(model, f),
     )  # fmt: skip
+
+
+def _held_linear(model: Model) -> dict[str, float]:
+    """kL and c that the rig file fixes, by full name."""
+    settings = {f"{p}.{key}": model.linear.get(p, {}).get(key) for p in model.places for key in ("kL", "c")}
+    return {name: s.value for name, s in settings.items() if s is not None and s.fixed and s.value is not None}
 
 
 def _refuse_only_lines(model: Model, fitted_hz: float) -> None:

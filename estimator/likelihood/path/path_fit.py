@@ -219,8 +219,10 @@ def fit_increments(
         GB = np.einsum("iab,b->ia", G, b)
         S = (GB @ b) / n
         j1, j2 = jacobian.derivatives(tangents, delta)
-        gradient = -2 * (GB[:, 1:] / S[:, None]).sum(axis=0) + B * j1 - penalty * delta
+        slope = 2 * GB[:, 1:] / S[:, None]
+        gradient = -slope.sum(axis=0) + B * j1 - penalty * delta
         H = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
+        H -= slope.T @ (slope / n[:, None])  # S follows the increments
         step = _solve(H, gradient, min_information)
         size, new = 1.0, -np.inf
         while size > 1e-3:

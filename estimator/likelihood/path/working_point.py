@@ -31,6 +31,7 @@ from estimator.parallel import map_threads
 
 from .contour import continued_tangent, contour
 from .determinant import Jacobian
+from .noise_bias import NoiseBias
 from .path_fit import Gram, PathFit, fit_increments, gram_matrices
 from .sensor_noise import force_correlation, referred_noise
 from .whitening import Spectrum, WhitenedRegressors, Whitening
@@ -200,9 +201,8 @@ def point_at(
     whitened = whitening.whiten(made)
     G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)
-    there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
-    kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
-    jacobian = Jacobian(along_line(A), s, correction * there[:, None], kept)
+    noisy = data.residual_is_noise
+    jacobian = _noise_bias(whitening, A, nu, S) if noisy else _determinant(whitening, along_line(A), correction)
     prior = _prior_information(data, G, uses)
     result = _fit_near(G, jacobian, data.fold_blocks, prior)
     own_regressors = tuple(in_single_precision(t) for t in made)
@@ -229,6 +229,21 @@ def point_at(
         spans=Spans(own_regressors),
         units=UnitRegressors(),
     )
+
+
+def _determinant(whitening: Whitening, A: Complexes, correction: Complexes) -> Jacobian:
+    """The Jacobian from force to motion. A : (bins, places, places) along the line. correction : (bins, places) kg."""
+    s = whitening.s
+    there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
+    kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
+    return Jacobian(A, s, correction * there[:, None], kept)
+
+
+def _noise_bias(whitening: Whitening, A: Complexes, nu: Array, S: Array) -> Jacobian:
+    """What takes the place of the determinant where the residual force is noise. Arguments as of `point_at`."""
+    noise = whitening.data.noise_shape * (nu * S)[:, None]
+    kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
+    return NoiseBias(A, whitening.s, noise=noise, per_psd=whitening.weight / S[:, None], kept=kept)
 
 
 def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | None]) -> Complexes:

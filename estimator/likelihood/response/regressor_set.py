@@ -118,6 +118,13 @@ def with_second_order(
     return out
 
 
+def block_tangents(placed: LocatedLaw, k: int, data: MotionRecord, i: int) -> Array:
+    """(blocks, 2) mean tangents of each block to x and v of place i, per unit of parameter k of a memoryless law."""
+    ends = _ends(placed, k, data)
+    tangents = _summed(w * tangent_series(placed, data, i, p) for p, w in ends)
+    return np.asarray(tangents.reshape(2, data.blocks, -1).mean(axis=2, dtype=np.float64).T)
+
+
 def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
     """The function `found` with a cache by place and parameters."""
     known: dict[tuple[int, bytes], T] = {}
@@ -274,10 +281,15 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
 
 
 def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[LocatedLaw] = ()) -> list[Regressor]:
-    """Regressors of kL and c at place i. lin : (3,) m, kL, c. uses : laws; a pedestal responds to kL and c too."""
+    """Regressors of kL, c and a free mass at place i, but for those that are held.
+
+    lin : (3,) m, kL, c. uses : laws; a pedestal responds to kL and c too.
+    """
     P = len(data.places)
     out = []
     for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
+        if f"{data.places[i]}.{name}" in data.held:
+            continue
         slope = np.zeros((P, P, 2))
         slope[i, i, which] = 1.0
         series, memory = z, dict[int, Complexes]()
@@ -297,6 +309,9 @@ def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[Loc
                 memory=memory,
             )
         )
+    if (a := data.free_inertia.get(i)) is not None:
+        scale = 1.0 / max(float(data.rms[2, i]), 1e-300)
+        out.append(Regressor(f"{data.places[i]}.m", "kg", {i: a}, np.zeros((P, P, 2)), scale=scale, mass_at=i))
     return out
 
 
@@ -311,6 +326,7 @@ class Regressor:
     every place: of a law with memory or through the disc, and the second-order correction.
     apart : (folds, places, places, 2) tangent of each time fold less `tangent`; None if they are equal.
     shape : (bins,) factor of the spectra of the series; None is 1.
+    mass_at : index of the place whose mass the parameter is; None for any other parameter.
     """
 
     name: str
@@ -321,6 +337,7 @@ class Regressor:
     memory: dict[int, Complexes] = field(default_factory=dict)
     apart: Array | None = None
     shape: Complexes | None = None
+    mass_at: int | None = None
 
 
 def tangent_response(tangent: Array, s: Complexes) -> Complexes:
@@ -333,4 +350,6 @@ def regressor_response(term: Regressor, s: Complexes) -> Complexes:
     out = tangent_response(term.tangent, s)
     for i, more in term.memory.items():
         out[i] += more / s**2
+    if term.mass_at is not None:
+        out[term.mass_at, term.mass_at] += 1.0
     return out * term.scale

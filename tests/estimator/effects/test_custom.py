@@ -20,7 +20,6 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.batch.measured_force import analyse
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.prepare import prepare
@@ -262,48 +261,6 @@ def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
         assert p.sd is not None
         assert abs(p.value - true) < 3.0 * p.sd < 0.5 * true
     assert found[f"{place}.kL"].identifiable
-
-
-def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed() -> None:
-    """f (exp(x / w) - 1 - x / w) in 60 s beside a cubic: w had gone to infinity, and kL was 7.9e10 +- 0.8e10 N/m."""
-    rig = one_bearing()
-    hidden = EffectUse("clearance", {"bearing1.x": {"k": Setting(3e6), "gap": Setting(1.9e-7)}})
-    y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
-    found = analyse(replace(rig, effects=(hidden,)), y, RATE)
-    (searched,) = [k for k, f in enumerate(found.balance.free) if f.searched]
-    far = found.covariance.copy()
-    far[searched, searched] = np.inf
-    assert spectral.search_has_failed(replace(found, covariance=far))
-    assert spectral.search_has_failed(replace(found, converged=False))
-    assert not spectral.search_has_failed(replace(found, converged=True, covariance=np.eye(len(far))))
-    assert not spectral.search_has_failed(replace(analyse(rig, y, RATE), converged=False))
-
-
-def test_a_value_outside_its_limits_is_not_believed() -> None:
-    """An amplitude may be outside by its uncertainty: it is not identifiable there."""
-    rig = one_bearing()
-    hidden = EffectUse("clearance", {"bearing1.x": {"k": Setting(3e6), "gap": Setting(1.9e-7)}})
-    found = analyse(replace(rig, effects=(hidden,)), simulate(rig, RATE, 3.0, seed=1, noise=0.02), RATE)
-    free, point = found.balance.free, found.point
-    searched, amplitude = (next(k for k, f in enumerate(free) if f.name.endswith(name)) for name in (".gap", ".k"))
-    sd = 0.1 * abs(point.beta[amplitude])
-    covariance = sd**2 * np.eye(len(found.covariance))
-
-    def outside(gap: float, k: float) -> bool:
-        beta = point.beta.copy()
-        beta[[searched, amplitude]] = gap - free[searched].start, k
-        moved = replace(found.local, point=replace(point, beta=beta))
-        bounded = replace(
-            found.balance, free=tuple(replace(f, low=0.0) if j == amplitude else f for j, f in enumerate(free))
-        )
-        return spectral.is_outside_limits(replace(found, balance=bounded, local=moved, covariance=covariance))
-
-    low, high = free[searched].low, free[searched].high
-    assert not outside(0.5 * (low + high), 3.0 * sd)
-    assert outside(0.9 * low, 3.0 * sd)
-    assert outside(1.1 * high, 3.0 * sd)
-    assert not outside(0.5 * (low + high), -1.0 * sd)
-    assert outside(0.5 * (low + high), -3.0 * sd)
 
 
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:

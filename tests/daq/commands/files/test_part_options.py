@@ -103,9 +103,9 @@ def test_each_command_takes_the_part(folder: Path, capsys: pytest.CaptureFixture
     assert told(capsys, f"replay a.mcap {asked} --out c.mcap")["samples"] == 12800
     np.testing.assert_array_equal(read_log("c.mcap").samples()[:, 0], read_log("a.mcap").samples()[5120:17920, 0])
     assert read_log("c.mcap").channels == ("b1x",)
-    value = told(capsys, f"fit a.mcap --rig rig.toml {asked} --out fitted.toml")
-    assert value["samples"] <= 12800
-    assert (value["from_s"], value["seconds"]) == (1.0, 2.5)
+    value = told(capsys, f"fit a.mcap --rig rig.toml {asked.replace('3.5', '3.9')} --out fitted.toml")
+    assert value["samples"] <= 14848
+    assert (value["from_s"], value["seconds"]) == (1.0, 2.9)
     assert {name.partition(".")[0] for name in value["parameters"]} == {"bearing1"}
     assert [c.name for c in load_rig("fitted.toml").model.channels] == ["b1x", "b2x"]
     assert told(capsys, "fit a.npz --rig rig.toml --from 2024-05-01T12:00:01Z --seconds 2.9")["from_s"] == 1.0

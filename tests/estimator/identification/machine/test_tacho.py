@@ -18,7 +18,7 @@ from estimator.identification.machine import lines
 from estimator.identification.machine.stiffness_order import find_stiffness_order
 from estimator.likelihood.motion.harmonics import periodic_forces, periodic_series
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.signals.shaft_angle import measured_phase, with_measured_speed
+from estimator.signals.shaft_angle import with_measured_speed
 from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import simulate
 
@@ -128,7 +128,7 @@ def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) ->
     y = simulate(
         with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
     )
-    found = spectral.fit_spectral(rig, y, RATE, measured_phase(rig, y, RATE))
+    found = spectral.fit_spectral(rig, y, RATE)
     assert not [m for m in found.messages if m.code == "force_not_white"]
     for place in rig.places:
         for key in ("kL", "c", "S"):

@@ -1,0 +1,106 @@
+"""Covariance of the fitted parameters: from the curvature of the likelihood, or from the scatter of its slope.
+
+At a maximum the inverse Hessian H^-1 is the covariance if the model is exactly true. If it is not, the covariance is
+H^-1 J H^-1 with J from the scatter of the scores of parts of the record (the sandwich of Huber and White). The parts
+are the blocks, whose scatter shows a wrong spectrum or level, and the time folds, whose scatter shows a drift. The
+sandwich is noisy. It counts only for a parameter whose variance it raises by more than chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
+from estimator.likelihood.response.regressor_set import block_tangents
+
+from .working_point import WorkingPoint
+
+MIN_BLOCKS = 30  # of a record, for the scatter of its blocks
+MIN_EXCESS_SD = 3.0  # of a variance from the scatter of blocks above that of the Hessian: chance gives 1 in 700
+MAX_CHANCE_P = 1e-3  # of a scatter of the time folds: chance gives 1 in 1000
+
+
+def joint_covariance(point: WorkingPoint) -> Array:
+    """(k + places, k + places) covariance of the increments, scaled, and of log S of a fitted working point.
+
+    The increments are those of ``point.fit``. The larger of inverse Hessian and sandwich is taken, parameter by
+    parameter.
+    """
+    bread = _inverse(_joint_hessian(point))
+    influence = _block_scores(point) @ bread  # of each block on each parameter
+    expected = np.diag(bread)
+    wider = np.ones(expected.size)
+    if (blocks := len(influence)) >= MIN_BLOCKS:
+        squares = influence**2
+        excess, chance = squares.sum(axis=0) - expected, squares.std(axis=0) * np.sqrt(blocks)
+        wider = np.where(excess > MIN_EXCESS_SD * chance, squares.sum(axis=0) / expected, wider)
+    folds = np.array([influence[point.data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
+    of_folds = (folds**2).sum(axis=0) / expected * TIME_FOLDS  # chi-squared, its mean left out
+    wider = np.where(of_folds > _fold_limit(), np.maximum(of_folds / (TIME_FOLDS - 1), wider), wider)
+    return np.asarray(bread * np.sqrt(np.multiply.outer(wider, wider)))
+
+
+def _fold_limit() -> float:
+    """Chi-squared of the influence of the time folds that chance exceeds with MAX_CHANCE_P."""
+    from scipy.special import chdtri
+
+    return float(chdtri(TIME_FOLDS - 1, MAX_CHANCE_P))
+
+
+def _joint_hessian(point: WorkingPoint) -> Array:
+    """(k + places, k + places) minus the second derivative of the log-likelihood by increments and log S."""
+    gram, fit = point.gram, point.fit
+    G, n, blocks = gram.G.sum(axis=1), gram.n.sum(axis=1), float(point.data.blocks)
+    b, k, P = np.concatenate([[1.0], fit.delta]), fit.delta.size, len(G)
+    out = np.zeros((k + P, k + P))
+    _, bend = point.jacobian.derivatives(gram.tangents, fit.delta)
+    out[:k, :k] = 2 * (G[:, 1:, 1:] / fit.S[:, None, None]).sum(axis=0) - blocks * bend
+    out[:k, k:] = -2 * (np.einsum("iab,b->ia", G, b)[:, 1:] / fit.S[:, None]).T
+    out[k:, :k] = out[:k, k:].T
+    out[k:, k:] = np.diag(n)
+    return out
+
+
+def _block_scores(point: WorkingPoint) -> Array:
+    """(blocks, k + places) slope of the log-likelihood of each block by increments and log S."""
+    gram, fit, data = point.gram, point.fit, point.data
+    k, P = fit.delta.size, len(data.places)
+    out = np.zeros((data.blocks, k + P))
+    out[:, :k] = point.jacobian.derivatives(gram.tangents, fit.delta)[0]
+    for i in range(P):
+        Z, at = point.whitened.spectra[i], point.whitened.index[i]
+        force = point.spectra[i] + np.tensordot(fit.delta[at].astype(np.float32), Z, 1)
+        out[:, at] -= 2 * np.einsum("kbf,bf->bk", Z, force, dtype=np.float64) / fit.S[i]
+        power = np.einsum("bf,bf->b", force, force, dtype=np.float64)
+        out[:, k + i] = power / fit.S[i] - gram.n[i].sum() / data.blocks
+    _add_own_tangents(point, out)
+    return out
+
+
+def _add_own_tangents(point: WorkingPoint, scores: Array) -> None:
+    """Add to the scores (blocks, k + places) what the mean tangent of each block has more than that of the record.
+
+    The score of a law is its force times the residual force, less S times the response of its mean tangent. With more
+    motion the tangent is another one. With the tangent of the record the scores scatter more than they do.
+    """
+    data, s, names = point.data, point.whitening.s, list(point.fit.names)
+    inverse = np.linalg.inv(point.jacobian.A0) * point.jacobian.weight[:, None, None]
+    if point.whitening.measured is not None:
+        inverse = point.whitening.measured @ inverse
+    for use in point.placed if data.x.size and not data.measured_force else ():
+        for k in (k for k in range(use.p.size) if use.effect.kind == "force" and use.name(k) in names):
+            column = names.index(use.name(k))
+            for i in use.at:
+                own = inverse[:, i, i]
+                response = np.array([(own / s**2).real.sum(), (own / s).real.sum()])
+                tangents = block_tangents(use, k, data, i)
+                apart = (tangents - tangents.mean(axis=0)) * point.fit.scales[column]
+                scores[:, column] += apart @ response
+
+
+def _inverse(H: Array) -> Array:
+    """H^-1 with eigenvalues, relative to the diagonal, of at least 1e-6."""
+    d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
+    e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
+    return np.asarray(np.multiply.outer(d, d) * ((U / np.maximum(e, 1e-6)) @ U.T))
