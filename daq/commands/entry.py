@@ -25,6 +25,8 @@ def main() -> NoReturn:
     heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job's is ignored
     if heard:
         signal.signal(signal.SIGINT, _leave)
+    if sys.argv[1:2] == ["run"] and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _stopped)  # until the session has a handler of its own
     gc.set_threshold(GARBAGE_OBJECTS)
     from . import cache_place
 
@@ -93,6 +95,11 @@ def _end(status: int) -> NoReturn:
     """
     atexit._run_exitfuncs()
     os._exit(status)
+
+
+def _stopped(*_: object) -> NoReturn:
+    """SIGTERM before a session has begun, or after it has ended: as one ends that has."""
+    os._exit(0)
 
 
 def _leave(*_: object) -> NoReturn:

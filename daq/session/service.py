@@ -79,7 +79,7 @@ def acquire(
     name = link or rig.link.url or ""
     metadata = {"command": "acquire", "link": name}
     summary = acquire_from(rig, driver, sinks, seconds, stop, metadata=metadata, notify=notify)
-    problem = failure(summary, name)
+    problem = failure(summary, name, stopped=stop is not None and stop.is_set())
     if problem is not None:
         raise problem
     return summary
@@ -171,11 +171,14 @@ def log_path(sinks: Sequence[Sink], out: Path | None) -> Path | None:
     return path
 
 
-def failure(summary: RunSummary, link: str) -> Exception | None:
-    """Why an acquisition that came to its end failed nevertheless: its log is not complete, or nothing came."""
+def failure(summary: RunSummary, link: str, stopped: bool = False) -> Exception | None:
+    """Why an acquisition that came to its end failed nevertheless: its log is not complete, or nothing came.
+
+    stopped : by the user, also before the first sample.
+    """
     if summary.lost_log:
         return LogError(summary.lost_log)
-    if summary.samples:
+    if summary.samples or stopped:
         return None
     if summary.kind == "capture":
         what = "it holds no frame of a device of protocol v1; for another maker's set link.dbc and [link.signals]"

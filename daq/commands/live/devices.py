@@ -87,7 +87,7 @@ def run_devices(
 
         with table or nullcontext():
             outcome = acquire_all([each.device for each in devices], seconds, stop.event, notify=tell)
-    failed = _report(output, devices, outcome, strict)
+    failed = _report(output, devices, outcome, strict, stop.event.is_set())
     if stop.interrupted and not any(isinstance(r, RunSummary) and r.lost_log for r in outcome.values()):
         raise KeyboardInterrupt
     if failed:
@@ -103,9 +103,9 @@ def _table(output: Output, names: Sequence[str]) -> DevicesTable | None:
 
 
 def _report(
-    output: Output, devices: Sequence[_Asked], outcome: dict[str, RunSummary | Exception], strict: bool
+    output: Output, devices: Sequence[_Asked], outcome: dict[str, RunSummary | Exception], strict: bool, stopped: bool
 ) -> dict[str, Exception]:
-    """Say what came of each; those that failed."""
+    """Say what came of each; those that failed. stopped : by a signal, also before the first sample."""
     people: list[Any] = []
     values: list[dict[str, Any]] = []
     failed: dict[str, Exception] = {}
@@ -114,7 +114,7 @@ def _report(
         value: dict[str, Any] = {"schema": 1, "device": name, "rig": each.device.rig.model.name, "url": each.link}
         wrong: Exception | None
         if isinstance(result, RunSummary):
-            wrong = run_failure(result, strict, each.link)
+            wrong = run_failure(result, strict, each.link, stopped)
             log = log_path(each.device.sinks, each.log) if result.samples or result.lost_samples else None
             value = result.to_json() | value | ({"log": str(log)} if log else {})
             people += ["", f"{name} ({each.link})", *in_words(result, log)]

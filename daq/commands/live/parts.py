@@ -73,11 +73,14 @@ def serve_metrics(output: Output, port: int) -> MetricsServer:
     return server
 
 
-def run_failure(summary: RunSummary, strict: bool, link: str) -> Exception | None:
-    """Why a run that came to its end failed nevertheless; with `strict` also if a sample was lost."""
+def run_failure(summary: RunSummary, strict: bool, link: str, stopped: bool = False) -> Exception | None:
+    """Why a run that came to its end failed nevertheless; with `strict` also if a sample was lost.
+
+    stopped : by a signal, also before the first sample.
+    """
     if strict and summary.lost_samples and not summary.lost_log:
         return CheckFailed(f"{summary.lost_samples} samples were lost; --strict asks for none")
-    return failure(summary, link)
+    return failure(summary, link, stopped)
 
 
 def in_words(summary: RunSummary, out: Path | None) -> list[Any]:

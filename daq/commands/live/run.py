@@ -80,7 +80,7 @@ def run_rig(
     _report(output, summary, log_path(sinks, out), {"rig": rig.model.name})
     if stop.interrupted and not summary.lost_log:
         raise KeyboardInterrupt
-    problem = run_failure(summary, strict, link or rig.link.url or "")
+    problem = run_failure(summary, strict, link or rig.link.url or "", stop.event.is_set())
     if problem is not None:
         raise problem
 

@@ -400,3 +400,31 @@ def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Pa
         device.communicate(timeout=PATIENCE_S)
     assert open_at == [("127.0.0.1", True)] * 2
     assert f"127.0.0.1:{port}" in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("kind", ["serial", "slcan"])
+def test_a_stop_before_the_first_sample_has_the_promised_status(
+    rig: Path, tmp_path: Path, kind: str, number: signal.Signals, record_property: Row
+) -> None:
+    """Of a device that says nothing; it was "nothing came", status 3, whoever had asked for the stop."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, True)
+    log = tmp_path / "a.mcap"
+    process = run(rig, "--link", f"{kind}:{os.ttyname(slave)}", "--out", str(log))
+    try:
+        while b"nothing from" not in (line := process.stderr.readline().encode()):  # type: ignore[union-attr]
+            assert line, "ended by itself"
+        process.send_signal(number)
+        asked = time.monotonic()
+        _, said = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        os.close(master)
+        os.close(slave)
+    took = time.monotonic() - asked
+    row = f"{number.name} before the first sample, {kind} | a device that says nothing | 2 s, the promised status"
+    record_property("reliability", f"{row} | {took:.2f} s, status {process.returncode}")
+    assert process.returncode == (130 if number == signal.SIGINT else 0), said
+    assert not log.exists()
+    within(took, 2.0)

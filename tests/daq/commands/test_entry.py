@@ -62,6 +62,17 @@ def test_an_interrupt_while_python_imports_ends_quietly(
     record_property("reliability", f"{row} | status {process.returncode}, {len(said.splitlines())} lines")
 
 
+@pytest.mark.parametrize("after_s", [0.01, 0.1, 0.3])
+def test_sigterm_while_python_imports_ends_a_run_as_it_ends_one_later(after_s: float, tmp_path: Path) -> None:
+    begin = BEGIN.replace(
+        "signal.getsignal(signal.SIGINT) is signal.default_int_handler",
+        "signal.getsignal(signal.SIGTERM) is signal.SIG_DFL",
+    ).replace("getpid(), signal.SIGINT", "getpid(), signal.SIGTERM")
+    words = ["run", str(RIG), "--link", "virtual:", "--out", str(tmp_path / "a.mcap"), str(after_s)]
+    done = subprocess.run([sys.executable, "-c", begin, *words], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 UNRAISABLE = """
 import signal, sys, time, weakref
 from daq.commands.entry import main

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,13 @@ from promises import PATIENCE_S, least_share, until, within
 from ramp_device import PERIOD, Served, ramp_device
 from stand_ins import MomentEstimator, Recorder, paper_rig
 
+from daq.base.contract.clock import SystemClock
 from daq.log.reader import Recording, read_log
 from daq.log.writer import LogWriter
 from daq.session.acquire import RunSummary, acquire_from
 from daq.session.replay import replay_into
 from drivers.contract.link_config import VirtualConfig
-from drivers.contract.reading import Block, Driver
+from drivers.contract.reading import Block, Driver, Notice, Reading
 from drivers.links.links import make_driver, parse_link
 from drivers.simulated.simulated import SimulatedDevice
 
@@ -130,6 +131,56 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, record_property: Callabl
     assert {"reconnect", "restart"} & {g.reason for g in log.gaps}
     assert log.n_samples > 20_000
     assert any(n.level in ("warning", "error") for n in log.notices)
+
+
+class SetClock(SystemClock):
+    """The computer's, whose wall clock is set forwards by an hour at 0.8 s, and back by two days at 1.6 s."""
+
+    JUMPS_S = ((0.8, 3600.0), (1.6, -2 * 86400.0))
+
+    def __init__(self) -> None:
+        self.begin_ns: int | None = None  # of the samples
+
+    def wall_offset_ns(self) -> int:
+        passed = 0.0 if self.begin_ns is None else (self.now_ns() - self.begin_ns) / 1e9
+        return super().wall_offset_ns() + round(1e9 * sum(by for at, by in self.JUMPS_S if passed > at))
+
+
+def test_the_clock_of_the_host_is_set_forwards_and_back(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """The place where the product reads time says other times; with a real clock: tests/guest/test_host.py."""
+    clock, told, stop, path = SetClock(), Recorder(), threading.Event(), tmp_path / "a.mcap"
+    device = ramp_device("serial16", seconds=None)
+
+    class Begin(Recorder):
+        def readings(self, batch: Sequence[Reading]) -> None:
+            if clock.begin_ns is None and any(isinstance(r, Block) for r in batch):
+                clock.begin_ns = clock.now_ns()
+
+    def notify(notice: Notice) -> None:
+        told.readings([notice])
+        if notice.code == "wall_clock_set" and "-17" in notice.text:
+            stop.set()
+
+    with Served("serial:pty", device, speed=1.0) as served:
+        summary = acquire_from(
+            RIG, make_driver(parse_link(served.url)), [LogWriter(path, clock=clock), Begin()], PATIENCE_S, stop,
+            make=MomentEstimator, clock=clock, notify=notify,
+        )  # fmt: skip
+    log = read_log(path)
+    assert_ramp(log)
+    times = [r.t_host_ns for r in log.readings(joined=False) if isinstance(r, Block)]
+    assert times == sorted(times)
+    span_s = (times[-1] - times[0]) / 1e9
+    assert span_s == pytest.approx(log.seconds, abs=1.0)
+    moved = [r.text for r in told.delivered if isinstance(r, Notice) and r.code == "wall_clock_set"]
+    assert ["+36" in moved[0], "-17" in moved[-1]] == [True, True]
+    assert log.started is not None
+    assert abs(log.started.timestamp() - time.time()) < PATIENCE_S + span_s
+    how = "forwards by an hour, then back by two days, in a session on a pty"
+    row = f"clock of the computer is set | {how} | told, no index and no time of the log jumps"
+    record_property("reliability", f"{row} | {summary.lost_samples} lost; {log.seconds:.1f} s of samples, in place")
 
 
 @pytest.mark.slow
