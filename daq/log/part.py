@@ -12,7 +12,7 @@ from .codec import RawBlock
 from .entries import Entry, Head, walk
 from .scan import PROBE_BYTES, Findings, next_chunk, opened
 
-NEAR_BYTES = 1 << 20  # no use in halving less
+NEAR_BYTES = 1 << 16  # no use in halving less
 MOST_HEADS = 64  # chunks that may come before the first sample, or lie between one that can be read alone and another
 
 

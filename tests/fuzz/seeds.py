@@ -53,6 +53,7 @@ def _can() -> list[bytes]:
     return out
 
 
+PART_HEAD = b"\x02\x20"  # for the target "parts": from which sample on, and how many
 LOG_HEAD = b"\0" + LOG_MAGIC  # for the target "mcap": a file
 
 
@@ -211,6 +212,15 @@ def _expression() -> list[bytes]:
 def _csv() -> list[bytes]:
     lines = ["time,b1x,b1y"] + [f"{k / 25600:.9f},{k},-2.5e3" for k in range(6)]
     return ["\n".join(lines).encode(), b"# x\nb1x [g];b1y;b2x\n1;2;3\n5;6;nan\n", b"b1y\tb1x\nnan\tnan\n1\t2\n3\t4\n"]
+
+
+def _lvm() -> list[bytes]:
+    head = "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t{}\nX_Columns\t{}\n***End_of_Header***\n\n"
+    head += "Channels\t2\nDate\t2023/11/14\t2023/11/14\nTime\t22:13:20\t22:13:20\nY_Unit_Label\tg\tmg\n"
+    head += "X0\t0\t0\nDelta_X\t3.90625E-5\t3.90625E-5\n***End_of_Header***\n"
+    no = "X_Value\tb1x\tb1y\tComment\n" + "".join(f"\t{k},5\t-2\n" for k in range(4))
+    one = "X_Value\tb1x\tb1y\n" + "".join(f"{k / 25600:.9f}\t{k}\t-2.5e3\n" for k in range(6))
+    return [(head.format(",", "No") + no).encode(), (head.format(".", "One") + one).encode()]
 
 
 def _npz() -> list[bytes]:
@@ -385,7 +395,9 @@ _ASC = (
 )
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
-    "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
+    "parts": lambda: [PART_HEAD + data for data in _mcap()],
+    "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "lvm": _lvm,
+    "npz": _npz, "wav": _wav,
     "npz-members": _npz_members, "answer-members": _answer_members, "uff-sets": _uff_sets,
     "mat": _mat, "uff": _uff, "mf4": _mf4, "mf4can": _mf4can, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "mat-variables": lambda: [b"".join(map(_behind_length, small_variables()))],

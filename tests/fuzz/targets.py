@@ -22,6 +22,7 @@ from ramp_device import CHANNELS, ramp_device
 
 from daq.base.console.file_kinds import LOG_MAGIC
 from daq.base.contract.errors import ConfigError, LogError
+from daq.base.contract.part import Part
 from daq.exchange import child, formats, uff_file
 from daq.exchange.checks import checked
 from daq.exchange.columns import Columns
@@ -234,6 +235,18 @@ def mcap(data: bytes, folder: Path) -> None:
             assert not isinstance(reading, Block) or len(reading.counts) > 0
 
 
+def parts(data: bytes, folder: Path) -> None:
+    """A part of a log, of whatever the first bytes say; what is there lies in the part."""
+    path, (start, length) = folder / "a.mcap", ((*data[:2], 0, 0))[:2]
+    _log(data[2:], path)
+    with contextlib.suppress(LogError, ConfigError):
+        log = read_log(path, part=Part(from_s=start / 2e4, seconds=(1 + length) / 2e4))
+        with contextlib.suppress(LogError):
+            assert len(log.counts()) == len(log.samples()) == log.stop - log.first
+        blocks = [reading for reading in log.readings(joined=bool(length % 2)) if isinstance(reading, Block)]
+        assert all(log.first <= b.index and b.index + len(b.counts) <= log.stop for b in blocks)
+
+
 def _chunk(records: bytes) -> bytes:
     packed = zstandard.compress(records)
     head = scan.CHUNK_HEAD.pack(0, 0, len(records), zlib.crc32(records), 4, b"zstd")
@@ -426,6 +439,7 @@ def _capture(suffix: str) -> Target:
 TARGETS: dict[str, Target] = {
     "cobs": cobs_codec, "slcan": slcan, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
     "recover": recover_log,
+    "parts": parts, "lvm": _import(".lvm"),
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"),
     "npz-members": npz_members, "uff-sets": uff_sets, "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
