@@ -21,7 +21,8 @@ import pytest
 from kept_records import KNL, kept
 from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model
 
-from estimator.identification.batch.measured_force import analyse
+from estimator.identification.batch import fit_all_effects
+from estimator.likelihood.path.uncertainty import joint_covariance
 
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "4"))
 SECONDS = float(os.environ.get("ROTORSCOPE_SECONDS", "60"))
@@ -78,16 +79,20 @@ def errors_of(case: str, seed: int) -> tuple[Errors, float]:
     """Errors of the fit of one record, and the seconds that it took."""
     y = kept(case, seed, SECONDS)
     begin = time.perf_counter()
-    solution = analyse(rig_model(*CASES[case]), y, RATE)
+    point = fit_all_effects(rig_model(*CASES[case]), y, RATE).point
     took = time.perf_counter() - begin
     truth = {"kNL": KNL, "fc": HIDDEN.get(case, 0.0), "cq": HIDDEN.get(case, 0.0)}
-    sd, names, out = np.sqrt(np.diag(solution.covariance)), solution.balance.names, Errors()
+    names, out = point.fit.names, Errors()
+    sd = np.sqrt(np.diag(joint_covariance(point))) * np.append(point.fit.scales, np.ones(4))
+    values = {use.name(k): p for use in point.placed for k, p in enumerate(use.p)}
+    for i, place in enumerate(PLACES):
+        values |= {f"{place}.kL": point.kL[i], f"{place}.c": point.c[i]}
     for j, name in enumerate(names):
         i, key = next(i for i, p in enumerate(PLACES) if name.startswith(p)), name.split(".")[-1]
         true = float(TRUTH[key][i]) if key in TRUTH else truth[key]
-        out.setdefault(key, []).append((solution.values[name] / true - 1, float(sd[j]) / true))
+        out.setdefault(key, []).append((float(values[name]) / true - 1, float(sd[j]) / true))
     for i in range(4):
-        out.setdefault("S", []).append((float(solution.point.S[i] / TRUTH["S"][i]) - 1, float(sd[len(names) + i])))
+        out.setdefault("S", []).append((float(point.S[i] / TRUTH["S"][i]) - 1, float(sd[len(names) + i])))
     return out, took
 
 

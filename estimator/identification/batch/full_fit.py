@@ -15,6 +15,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
+from estimator.errors import DataError
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.search import search
@@ -46,7 +47,6 @@ from .disturbance_numbers import (
     with_resolved_parameters,
 )
 from .grid_start import fit_record
-from .linear_start import refuse_without_resonance
 
 SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     name
@@ -167,6 +167,23 @@ def _refuse_without_resonance(point: WorkingPoint) -> None:
     """Raise DataError if a place does not resonate in the band."""
     for place, mean in _mean_oscillators(point).items():
         refuse_without_resonance(place, *mean)
+
+
+def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
+    """Whether an oscillator of m (kg), c (N s/m), kL (N/m) resonates inside the band (Hz)."""
+    low, high = band
+    f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
+    return bool(1.02 * low < f0 < 0.98 * high and c <= 1.8 * np.sqrt(kL * m))
+
+
+def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
+    """Raise DataError if a place of m (kg), c (N s/m), kL (N/m) does not resonate inside the band (Hz)."""
+    if not resonates(m, c, kL, band):
+        low, high = band
+        raise DataError(
+            f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
+            "and check that the channel is the bearing's"
+        )
 
 
 def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float) -> FullFit:

@@ -19,8 +19,6 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
-from estimator.identification.batch.line_notches import start_without_lines
-from estimator.identification.batch.report import judged_parameters
 from estimator.identification.record import spike_rows
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
 from estimator.likelihood.motion.harmonics import known_lines
@@ -32,7 +30,9 @@ from estimator.signals.blocks import BlockLayout, block_layout
 from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
 
+from .report import judged_parameters
 from .scope import rolling_scope
+from .start import first_fit, start_without_lines
 from .update import WARM_UP_S, RollingFit
 from .watch import DEFAULT_CANDIDATES
 
@@ -106,6 +106,7 @@ class RollingEstimator:
         self._grid: BlockLayout = block_layout(rate_hz, model.band, notches(model))
         self._lines = _known_line_stretches(model, self._grid)
         self._kept: list[BandLimitedMotion] = []  # what the next blocks and a new start need
+        self._rows: list[Array] = []  # samples of the last seconds, for a new start
         self._shaft = ShaftAngle(model, rate_hz)
         self._seen = 0  # rows taken in
         self._next = 0  # first row of the next block
@@ -134,6 +135,7 @@ class RollingEstimator:
         self._since_solved += len(block)
         self._shaft.push(block)
         y = self._without_spikes(block[:, self._used])
+        self._keep_rows(block, y)
         motion = self._filter.push(y if self._gain is None else y / self._gain)
         if motion.rows:
             self._kept.append(motion)
@@ -142,6 +144,19 @@ class RollingEstimator:
             self._advance(self._fitted, 1 + len(block) // self._grid.hop)
         elif motion.rows:
             self._start()
+
+    def _keep_rows(self, block: Array, y: Array) -> None:
+        """Keep the samples of a block, (rows, channels), with those of the used channels without spikes."""
+        own = np.array(block, dtype=np.float64)
+        own[:, self._used] = y
+        self._rows.append(own)
+        while sum(map(len, self._rows[1:])) >= self._start_rows:
+            self._rows.pop(0)
+
+    @property
+    def _start_rows(self) -> int:
+        """Rows that a start needs."""
+        return max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
 
     def _without_spikes(self, y: Array) -> Array:
         """A block (rows, channels) with NaN in place of its spikes: one would hide the motion for a time constant."""
@@ -177,7 +192,7 @@ class RollingEstimator:
     def _start(self) -> None:
         """Fit the first seconds, once there are enough samples."""
         end = self._kept[-1].start + self._kept[-1].rows
-        wanted = max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
+        wanted = self._start_rows
         if end - self._kept[0].start >= wanted and end >= self._retry_at:
             self._begin()
             self._retry_at = end + wanted // 2
@@ -214,7 +229,7 @@ class RollingEstimator:
         if self._since_taken and self._next + grid.size + fitted.margin > end and (at_once or not taken):
             if not fitted.settled and not (self._settle(fitted) and at_once):
                 return
-            self._trim(min(self._next - fitted.margin, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
+            self._trim(min(self._next - fitted.margin, end - self._start_rows))
             self._since_taken = False
             if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
                 self._solve()
@@ -247,10 +262,11 @@ class RollingEstimator:
             self._show_nothing(self._fault)
             return
         try:
-            record, start = start_without_lines(record, 1, self._lines)
+            model, point = first_fit(self.model, np.concatenate(self._rows), self.rate_hz, self._grid.size // 2)
+            record, start = start_without_lines(record, model, point, self._lines)
             self._grid = record.grid
             self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
-        except DataError as e:
+        except (DataError, NotFiniteError) as e:
             self._show_nothing(str(e))
             return
         self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None

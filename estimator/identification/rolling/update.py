@@ -11,19 +11,16 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import NotFiniteError
-from estimator.identification.batch.linear_start import LinearStart, restarted_about
-from estimator.identification.batch.maximum import Maximum, initial, inverse, maximum, without_noise
-from estimator.identification.batch.report import BLOCK_ENERGY_CORRELATION
 from estimator.likelihood.motion.force_balance import Balance, build_balance, restrict
 from estimator.likelihood.motion.known_spectra import excitation_shapes
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.stream_record import Record, gather
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
-from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, maximise
+from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, inverse, maximise
 from estimator.likelihood.path.jacobian import levels
 from estimator.likelihood.path.measured_force import is_force_measured
-from estimator.likelihood.response.second_order import second_order_change, self_energies
+from estimator.likelihood.response.second_order import second_order_change, self_energies, without_noise
 from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.blocks import valid_blocks
@@ -32,6 +29,8 @@ from estimator.signals.moving_lines import MovingLines
 from .level import ExcitationLevel, LevelHistory
 from .memory import Memory, TangentNoiseSums
 from .memory_laws import HiddenStates, linear_of
+from .report import BLOCK_ENERGY_CORRELATION
+from .start import RollingStart
 from .watch import watched_force, with_candidates
 
 WARM_UP_S = 4.0  # of samples, at least, before the first fit
@@ -53,7 +52,7 @@ class RollingFit:
     """
 
     def __init__(
-        self, record: Record, start: LinearStart, wide: Balance, laws: int, time_constant_s: float, columns: Columns
+        self, record: Record, start: RollingStart, wide: Balance, laws: int, time_constant_s: float, columns: Columns
     ) -> None:
         grid = record.grid
         if wide.common is not None:  # it depends on frequency alone
@@ -92,37 +91,25 @@ class RollingFit:
 
     @classmethod
     def begin(
-        cls, record: Record, start: LinearStart, model: Model, time_constant_s: float, watch: tuple[str, ...]
+        cls, record: Record, start: RollingStart, model: Model, time_constant_s: float, watch: tuple[str, ...]
     ) -> RollingFit:
         """The rolling fit of the first seconds. watch : names of the candidate effects. Raises DataError."""
-        values: dict[str, float] = {}
-        held: dict[str, Parameter] = {}
-        linear = start.linear.copy()
-        searched = len(build_balance(model, start.sizes).free) > len(
-            build_balance(model, start.sizes, search=False).free
-        )
-        point: Point | None = None
+        linear, own = start.linear.copy(), build_balance(model, start.sizes, start.values, search=False)
+        point = start.point(own)
         for _ in range(MAX_FIRST_FITS):
-            if searched:
-                best = maximum(record, start, model)  # the nonlinear parameters of the first seconds
-                values, held = best.values, _held_parameters(best)
-            own = build_balance(model, start.sizes, values, search=False)
-            point = point or initial(own, start, values)
             B = own.coefficients(point.beta)
             linear[:] = linear_of(own, B)
-            columns = record.columns(own, start.widths, linear)
-            states = HiddenStates(columns, start.nodes.f_hz)
+            states = HiddenStates(record.columns(own, start.widths, linear), start.nodes.f_hz)
             states.follow(B, record)
-            bank = gather(record, own, start.widths, linear)
-            bank.tangents[states.columns] = 0.0
-            gram, blocks = bank.grams.sum(axis=0), float(bank.blocks.sum())
+            gram, blocks, tangents = gather(record, own, start.widths, linear)
+            tangents[states.columns] = 0.0
             colour = _spectral_shape(record, start)
             first = Evidence(
                 balance=own,
                 grid=record.grid,
                 gram=gram,
                 blocks=blocks,
-                tangents=bank.tangents,
+                tangents=tangents,
                 nodes=start.nodes,
                 dressing=states.dressing,
                 colour=colour,
@@ -131,11 +118,11 @@ class RollingFit:
             point = local.point
             if not states.columns.size and colour is None:
                 break
-            start = restarted_about(start, record, first, point)
-        wide = build_balance(with_candidates(model, watch), start.sizes, values, search=False)
+            start = start.renewed(record, own, tangents, point)
+        wide = build_balance(with_candidates(model, watch), start.sizes, start.values, search=False)
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
-        fitted.local, fitted.held = local, held
+        fitted.local, fitted.held = local, dict(start.held)
         fitted.level = ExcitationLevel.of_first(local.power, record.grid.per_cell, is_force_measured(own))
         return fitted
 
@@ -335,23 +322,13 @@ class RollingFit:
         return self.level.shown(self.local.point, covariance, self.slow, self.fast)
 
 
-def _spectral_shape(record: Record, start: LinearStart) -> Array | None:
+def _spectral_shape(record: Record, start: RollingStart) -> Array | None:
     """(nodes, places) spectral shape of S in the model, each the mean of the bins of a node; None: flat."""
     by_bin, weight = excitation_shapes(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
     if (by_bin == 1.0).all():
         return None
     first = np.concatenate([[0], np.cumsum(weight)[:-1]]).astype(np.intp)
     return np.asarray(np.add.reduceat(by_bin, first, axis=0) / weight[:, None])
-
-
-def _held_parameters(best: Maximum) -> dict[str, Parameter]:
-    """The nonlinear parameters of the first seconds, by full name."""
-    spread = np.sqrt(np.diag(inverse(best.local)))
-    return {
-        f.name: Parameter(best.values[f.name], float(spread[j]), f.unit, reason="held at what the first seconds gave")
-        for j, f in enumerate(best.balance.free)
-        if f.searched
-    }
 
 
 def _newton_step(local: Local) -> tuple[Array, Array, float]:

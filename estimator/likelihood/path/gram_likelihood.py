@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.force_balance import Balance
-from estimator.likelihood.motion.stream_record import Bank
 from estimator.signals.band_limit import noise_shape
-from estimator.signals.blocks import BlockLayout, FrequencyNodes, frequency_nodes
+from estimator.signals.blocks import BlockLayout, FrequencyNodes
 
 from .contour import contiguous_bands, phase_steps, shift_past_modes, slowest_modes
 from .jacobian import levels, log_determinant, noise_slope
@@ -63,16 +62,6 @@ class Evidence:
     nodes: FrequencyNodes
     dressing: Complexes | None = None  # (nodes, columns) second-order correction
     colour: Array | None = None  # (nodes, places) shape of S
-
-
-def evidence_of(bank: Bank, at: FrequencyNodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
-    """The sum of a bank over its time folds (all, or those marked). at : nodes of the Jacobian (every bin)."""
-    keep = np.ones(bank.blocks.size, bool) if folds is None else folds
-    gram, blocks = bank.grams[keep].sum(axis=0), float(bank.blocks[keep].sum())
-    return Evidence(
-        balance=bank.balance, grid=bank.grid, gram=gram, blocks=blocks, tangents=bank.tangents,
-        nodes=frequency_nodes(bank.grid) if at is None else at,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,24 +247,6 @@ class Likelihood:
             power=diagonal / count[:, None], floor=gain, spread=spread,
         )  # fmt: skip
 
-    def scores(self, local: Local, grams: Array, blocks: Array) -> Array:
-        """(folds, p + 2 P) gradient of each fold; grams (folds, cells, k, k), blocks (folds,)."""
-        point, ev = local.point, self.evidence
-        B = ev.balance.coefficients(point.beta)
-        A = B @ self.R
-        jac_g, _ = self._jacobian(A, self.line(B, A), point, local.spread, hessian=False)
-        shift = self._spread_slope(A, point)
-        D = self._nuisance(point, local.floor)
-        out = []
-        for G, n in zip(grams, blocks, strict=True):
-            rows = np.einsum("ci,ckl->ikl", 1 / local.spread, G)
-            diagonal = np.einsum("cii->ci", self.force_power(B, G))
-            excess = (n * ev.grid.per_cell[:, None] - diagonal / local.spread) / local.spread
-            through_noise = 0.5 * np.einsum("ce,ce->e", excess[:, self.row], shift)
-            g_beta = self.T @ (self._quadratic(B, rows, hessian=False)[0] - n * jac_g + through_noise)
-            out.append(np.concatenate([g_beta, 0.5 * np.einsum("cqi,ci->q", D, excess)]))
-        return np.array(out)
-
     def _spread_slope(self, A: Complexes, point: Point) -> Array:
         """(cells, E) derivative of the spread of its row by each entry."""
         nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
@@ -398,3 +369,18 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
         else:
             damping = max(4 * damping, 1e-3)
     return here, False
+
+
+def inverse(local: Local) -> Array:
+    """(p + 2 P, p + 2 P) inverse of the Hessian: inf for what the data leave free, nan for what is not estimated."""
+    used = active(local.point)
+    H = local.hessian[np.ix_(used, used)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    w, V = np.linalg.eigh(H * scale * scale[:, None])
+    free = w < 1e-7 * w.max()
+    out = np.full(local.hessian.shape, np.nan)
+    covariance = scale[:, None] * (V[:, ~free] / w[~free]) @ V[:, ~free].T * scale
+    loose = (V[:, free] ** 2).sum(axis=1) > 1e-4
+    covariance[loose, loose] = np.inf
+    out[np.ix_(used, used)] = covariance
+    return out

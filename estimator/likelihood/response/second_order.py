@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.stream_record import Record, stretches
+from estimator.signals.band_limit import passband
 from estimator.signals.blocks import valid_blocks
 
 from .modal_response import ModalResponse, modal_responses
@@ -92,6 +94,29 @@ def tangent_noise(record: Record, columns: Columns, seconds: float = MIN_COVARIA
             covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
             bend[row, laws] = tangents @ square / (square @ square)
     return TangentNoise(covariance, bend) if covariance.any() else None
+
+
+def without_noise(
+    noise_of_tangents: TangentNoise, noise: Array, rate_hz: float, band: tuple[float, float]
+) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """A function (gram, count, mean) that removes tangent noise from Gram matrices (..., k, k) of `count` bins and from
+    mean tangents (k, 4).
+
+    noise : (places,) one-sided PSD of the sensors.
+    """
+    P, k = noise_of_tangents.bend.shape
+    f = np.linspace(0.0, 0.5 * rate_hz, 2000)
+    variance = noise * np.trapezoid(passband(f, rate_hz, band) ** 2, f)
+    straight = np.eye(k)
+    straight[:, 2 * P : 3 * P] -= (variance[:, None] * noise_of_tangents.bend).T
+    per_bin = np.einsum("i,ikl->kl", noise, noise_of_tangents.covariance)
+
+    def still(gram: Array, count: Array, mean: Array) -> tuple[Array, Array]:
+        slope = mean.copy()
+        slope[:, 0] -= variance @ noise_of_tangents.bend
+        return straight @ (gram - count * per_bin) @ straight.T, slope
+
+    return still
 
 
 def _covariances(

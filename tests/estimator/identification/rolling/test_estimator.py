@@ -77,7 +77,7 @@ def test_a_start_without_a_whole_block_says_so_and_goes_on(record: np.ndarray, e
     holed = record.copy()
     holed[: int(4.3 * RATE) : every] = np.nan
     estimates = run(RollingEstimator(rig_model("cubic"), RATE, 10.0), holed)
-    assert any(e.status.startswith("nowhere 0.32 s of samples without a gap") for e in estimates)
+    assert any(e.status.startswith("too few stretches") for e in estimates)
     for i, place in enumerate(PLACES):
         p = estimates[-1].parameters[f"{place}.kL"]
         assert abs(p.value - TRUTH["kL"][i]) < 4 * p.sd

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
+from rolling_record import record_of
 
 from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.law_columns import Columns
-from estimator.likelihood.motion.stream_record import Record, prepare
+from estimator.likelihood.motion.stream_record import Record
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.signals.blocks import block_spectra, gram_by_cell
 
@@ -21,7 +22,7 @@ BLOCKS, GAP = (0, 1, 2, 3, 6, 7), 6  # the last two follow on nothing
 
 @pytest.fixture(scope="module")
 def record() -> Record:
-    return prepare(rig_model(*EFFECTS), rig_record(2.5, seed=3), RATE)
+    return record_of(rig_model(*EFFECTS), rig_record(2.5, seed=3), RATE)
 
 
 def columns_of(record: Record, fine: int | None = None) -> Columns:

@@ -11,17 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
+from rolling_record import evidence_of, record_of
 
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.batch.line_notches import start_without_lines
-from estimator.identification.batch.linear_start import MIN_DAMPING_RATIO, linear_start
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.motion.force_balance import build_balance
-from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
 from estimator.likelihood.path.determinant import Jacobian
-from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, evidence_of
+from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
@@ -145,9 +143,9 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
 
 def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
     """From decay to growth its value has no fold, and its slope is its own; on the axis both turned round."""
-    record = prepare(rig_model("cross_coupling"), rig_record(6.0, seed=2), RATE)
+    record = record_of(rig_model("cross_coupling"), rig_record(6.0, seed=2), RATE)
     balance = build_balance(record.model, search=False)
-    likelihood = Likelihood(evidence_of(gather(record, balance, 0.05 * record.scales)))
+    likelihood = Likelihood(evidence_of(record, balance, 0.05 * record.scales))
     true = {f"{p}.{key}": TRUTH[key][i] for i, p in enumerate(PLACES) for key in ("kL", "c")}
     j, step = balance.names.index("bearing1.cross_coupling.k"), 200.0
 
@@ -222,21 +220,17 @@ def test_near_whirl_the_resonance_and_its_third_harmonic_are_not_left_out_as_lin
     hidden = np.zeros((4, 7))
     hidden[:2, CROSS] = k
     model = replace(rig_model("cubic"), effects=(EffectUse("cross_coupling", {"bearing1": {}}),))
-    record, _ = start_without_lines(prepare(model, rig_record(20.0, seed=seed, hidden=hidden), RATE))
-    assert not record.lines
+    assert not fit_all_effects(model, rig_record(20.0, seed=seed, hidden=hidden), RATE).model.line_bands
 
 
 @pytest.mark.slow
-def test_beyond_whirl_the_start_has_the_damping_that_the_effect_feeds() -> None:
-    """The linear start knows no effects: c came out as 4e-5 N s/m, and the fit asked for a record of 93,114 s."""
+def test_beyond_whirl_the_effect_that_feeds_the_motion_is_found() -> None:
     hidden = np.zeros((4, 7))
     hidden[:, CROSS] = 7e5
     y = rig_record(6.0, seed=3, hidden=hidden)
     model = rig_model("cubic")
     use = EffectUse("cross_coupling", {"bearing1": {}, "bearing2": {}})
     whole = replace(model, effects=(*model.effects, use))
-    start = linear_start(prepare(whole, y, RATE))
-    assert (start.c >= 2 * MIN_DAMPING_RATIO * np.sqrt(start.kL * start.m)).all()
     found = fit_spectral(whole, y, RATE).parameters
     for node in ("bearing1", "bearing2"):
         p = found[f"{node}.cross_coupling.k"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
+from rolling_record import evidence_of, record_of
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
@@ -15,8 +16,7 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
 from estimator.likelihood.motion.force_balance import build_balance
-from estimator.likelihood.motion.stream_record import gather, prepare
-from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of, responses
+from estimator.likelihood.path.gram_likelihood import Likelihood, responses
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -61,9 +61,9 @@ def test_the_determinant_of_a_fit_is_that_of_the_axis_beside_the_bins_left_out()
     the disc's mode as to none: c of another record was 0.8 sd off."""
     rig, fine = ringing(), 64
     rig = replace(rig, linear={place: {**own, "c": Setting(10.0)} for place, own in rig.linear.items()})
-    record = prepare(rig, simulate(rig, RATE, 6.0, seed=1), RATE)
+    record = record_of(rig, simulate(rig, RATE, 6.0, seed=1), RATE)
     balance = build_balance(rig, search=False)
-    likelihood = Likelihood(evidence_of(gather(record, balance, 0.05 * record.scales)))
+    likelihood = Likelihood(evidence_of(record, balance, 0.05 * record.scales))
     bins = likelihood.evidence.grid.f_hz
     apart = np.diff(bins).min() * ((np.arange(fine) + 0.5) / fine - 0.5)
     on_axis = responses(balance, likelihood.evidence.tangents, (bins[:, None] + apart).ravel())

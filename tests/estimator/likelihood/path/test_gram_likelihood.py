@@ -5,30 +5,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
+from rolling_record import evidence_of, started
 
-from estimator.identification.batch.linear_start import LinearStart, linear_start
-from estimator.identification.batch.maximum import initial, inverse
-from estimator.likelihood.motion.force_balance import Balance, build_balance, restrict
-from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
-from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of, maximise
+from estimator.identification.rolling.start import RollingStart
+from estimator.likelihood.motion.force_balance import build_balance
+from estimator.likelihood.motion.stream_record import Record
+from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Point, inverse, maximise
 from estimator.likelihood.path.jacobian import levels
 from estimator.likelihood.response.modal_response import single_mass_response
 from estimator.likelihood.response.second_order import pair_energies
+from estimator.signals.blocks import frequency_nodes
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[Record, LinearStart, Balance, Bank]:
-    record = prepare(rig_model("cubic", "cross_coupling"), rig_record(8.0, seed=3), RATE)
-    start = linear_start(record)
+def fitted() -> tuple[Record, RollingStart, Evidence]:
+    record, start = started(rig_model("cubic", "cross_coupling"), rig_record(8.0, seed=3), RATE)
     balance = build_balance(record.model, start.sizes)
-    return record, start, balance, gather(record, balance, start.widths, start.linear)
+    return record, start, evidence_of(record, balance, start.widths, start.linear, start.nodes)
 
 
-def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, LinearStart, Balance, Bank]) -> None:
-    _, start, balance, bank = fitted
-    likelihood = Likelihood(evidence_of(bank, start.nodes))
+def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, RollingStart, Evidence]) -> None:
+    _, start, evidence = fitted
+    likelihood = Likelihood(evidence)
     # sensor noise of one part in a thousand at the lower edge: S hardly varies within a cell, where it is averaged
-    point = initial(balance, start, {})
+    point = start.point(evidence.balance)
     point = Point(point.beta * 1.01, point.S * 0.97, np.full(4, 1e-9))
     local = likelihood.at(point)
     p = point.beta.size
@@ -46,28 +46,15 @@ def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, 
         assert (values[0] - values[2]) / 0.02 == pytest.approx(local.gradient[p + i], rel=1e-2, abs=1.0)
 
 
-def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, LinearStart, Balance, Bank]) -> None:
-    _, start, balance, bank = fitted
-    point = initial(balance, start, {})
-    full, _ = maximise(Likelihood(evidence_of(bank)), point)
-    thin, _ = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
+def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, RollingStart, Evidence]) -> None:
+    _, start, evidence = fitted
+    point = start.point(evidence.balance)
+    full, _ = maximise(Likelihood(replace(evidence, nodes=frequency_nodes(evidence.grid))), point)
+    thin, _ = maximise(Likelihood(evidence), point)
     sd = np.sqrt(np.diag(inverse(full)))[: point.beta.size]
-    assert start.nodes.f_hz.size < 0.15 * bank.grid.bins.size
-    assert start.nodes.weight.sum() == bank.grid.bins.size
+    assert start.nodes.f_hz.size < 0.15 * evidence.grid.bins.size
+    assert start.nodes.weight.sum() == evidence.grid.bins.size
     assert np.abs((thin.point.beta - full.point.beta) / sd).max() < 0.02
-
-
-def test_a_bank_restricted_to_fewer_laws_is_the_bank_of_the_smaller_model(
-    fitted: tuple[Record, LinearStart, Balance, Bank],
-) -> None:
-    record, start, balance, bank = fitted
-    cubic = {i for i, law in enumerate(balance.laws) if law.effect.name == "cubic"}
-    small = build_balance(replace(record.model, effects=record.model.effects[:1]), start.sizes)
-    part, _ = restrict(balance, cubic)
-    assert part.names == small.names
-    assert part.columns == small.columns
-    own = gather(record, small, start.widths, start.linear)
-    assert np.allclose(bank.restrict(cubic).grams, own.grams, rtol=1e-12)
 
 
 def test_force_and_noise_levels_come_back_from_cell_powers() -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from reference_rig import RATE, rig_model, rig_record
+from rolling_record import evidence_of, record_of
 
-from estimator.likelihood.motion.stream_record import Record, gather, prepare
-from estimator.likelihood.path.gram_likelihood import Likelihood, Line, Point, evidence_of
+from estimator.likelihood.motion.stream_record import Record
+from estimator.likelihood.path.gram_likelihood import Likelihood, Line, Point
 from estimator.likelihood.path.jacobian import levels, log_determinant
 
 Floats = NDArray[np.float64]
@@ -65,7 +66,7 @@ def spectrum_of_force(power: Floats, floor: Floats, count: Floats, start: Point)
 
 @pytest.fixture(scope="module")
 def record() -> Record:
-    return prepare(rig_model("cubic", "coulomb", "cross_coupling"), rig_record(3.0, seed=6), RATE)
+    return record_of(rig_model("cubic", "coulomb", "cross_coupling"), rig_record(3.0, seed=6), RATE)
 
 
 @pytest.mark.parametrize("noise", [0.0, 3e-7])
@@ -73,7 +74,7 @@ def test_value_gradient_and_hessian_are_those_of_the_likelihood(record: Record, 
     from estimator.likelihood.motion.force_balance import build_balance
 
     balance = build_balance(record.model, search=False)
-    evidence = evidence_of(gather(record, balance, 0.05 * record.scales))
+    evidence = evidence_of(record, balance, 0.05 * record.scales)
     rng = np.random.default_rng(1)
     beta = np.array([{"kL": 1e7, "c": 60.0}.get(f.name.rsplit(".", 1)[-1], 0.1) for f in balance.free])
     point = Point(beta * rng.uniform(0.9, 1.1, beta.size), np.full(4, 9e-5), np.full(4, noise))

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rolling_record import evidence_of, started
 
 from estimator.identification.batch import spectral
-from estimator.identification.batch.line_notches import start_without_lines
-from estimator.identification.batch.linear_start import linear_start
-from estimator.identification.batch.maximum import initial
-from estimator.identification.batch.measured_force import along_likely_path
-from estimator.identification.batch.report import fit_from_start
 from estimator.likelihood.motion.force_balance import build_balance
-from estimator.likelihood.motion.stream_record import gather, prepare
-from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of
+from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.signals.band_limit import band_limit
 from estimator.simulation.simulator import simulate
 
 Floats = NDArray[np.float64]
@@ -44,14 +36,12 @@ def noisy() -> Floats:
 
 
 def test_the_slope_is_that_of_what_is_left_at_held_noise(noisy: Floats) -> None:
-    record = prepare(rig(*MOTION, *FORCE), noisy, RATE)
-    start = linear_start(record)
+    record, start = started(rig(*MOTION, *FORCE), noisy, RATE)
     balance = build_balance(record.model, start.sizes)
-    bank = gather(record, balance, start.widths, start.linear)
-    likelihood = Likelihood(evidence_of(bank, start.nodes))
-    point = initial(balance, start, {})
+    evidence = evidence_of(record, balance, start.widths, start.linear, start.nodes)
+    likelihood, point = Likelihood(evidence), start.point(balance)
     point = Point(point.beta * 1.001, np.full(2, 1e-6), np.full(2, 1e-6))
-    local, count = likelihood.at(point), bank.blocks.sum() * bank.grid.per_cell
+    local, count = likelihood.at(point), evidence.blocks * evidence.grid.per_cell
 
     def left(beta: Floats) -> float:
         power, gain = likelihood.power(beta)
@@ -115,26 +105,3 @@ def test_a_law_that_pushes_the_cap_off_its_centre() -> None:
         assert found[f"{place}.kL"].value == pytest.approx(1e7, rel=5e-4)
         assert found[f"{place}.cubic.kNL"].value == pytest.approx(1.3e18, rel=0.015)
         assert found[f"{place}.quadratic.kq"].value == pytest.approx(3e12, rel=3e-3)
-
-
-def test_the_most_likely_path_is_that_of_the_cap(noisy: Floats) -> None:
-    """The displacement below the band comes from the force, and what noise there is in the band goes."""
-    blank = rig(*MOTION, *FORCE)
-    seen = tuple(replace(c, kind="displacement") for c in MOTION)
-    true = simulate(rig(*seen, known=True), RATE, SECONDS, seed=5).T
-    solution = fit_from_start(*start_without_lines(prepare(blank, noisy, RATE)), blank)
-    record, start = along_likely_path(solution, noisy)
-    assert record.slow is not None
-    valid = record.motion.valid.copy()
-    valid[: int(0.5 * RATE)] = valid[-int(0.5 * RATE) :] = False
-    rms = np.sqrt(np.mean(true[:, valid] ** 2, axis=1))
-    measured, likely = (
-        np.sqrt(np.mean((z - true)[:, valid] ** 2, axis=1)) / rms
-        for z in (record.motion.x, record.motion.x + record.slow)
-    )
-    assert (measured > 0.05).all()
-    assert (likely < 0.02).all()  # an offset is not told from a drift: what is below 3 Hz is not known
-    inside = band_limit(np.stack([*(record.motion.x + record.slow - true)]).T, ["displacement"] * 2, RATE, blank.band)
-    noise = band_limit((record.motion.x - true).T, ["displacement"] * 2, RATE, blank.band)
-    assert (inside.x[:, valid & inside.valid].std(axis=1) < 0.5 * noise.x[:, valid & noise.valid].std(axis=1)).all()
-    assert (start.widths[:, 0] < 0.03 * rms).all()

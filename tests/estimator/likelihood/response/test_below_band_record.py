@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rolling_record import record_of, started
 
-from estimator.identification.batch.line_notches import start_without_lines
 from estimator.likelihood.motion import prepare as cut_record
-from estimator.likelihood.motion.stream_record import prepare
 from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.signals.band_limit import BandLimit, band_limit
@@ -38,7 +37,7 @@ def probed() -> tuple[np.ndarray, np.ndarray]:
 
 def test_laws_see_what_a_displacement_sensor_measures_below_the_band() -> None:
     x, y = probed()
-    record, start = start_without_lines(prepare(rig("displacement"), y, RATE))
+    record, start = started(rig("displacement"), y, RATE)
     valid, stretch = record.motion.valid, record.stretch(0, record.motion.rows)
     left = (x - record.motion.x[0])[valid]
     now = (x - stretch.seen(0)[24:-24])[valid]
@@ -74,7 +73,7 @@ def test_a_stream_and_a_record_have_the_same_bits() -> None:
 @pytest.mark.parametrize("kind", ["acceleration", "velocity"])
 def test_another_sensor_sees_nothing_there(kind: str) -> None:
     y = response(np.random.default_rng(2))[:, None]
-    record = prepare(rig(kind), y, RATE)
+    record = record_of(rig(kind), y, RATE)
     assert record.motion.slow is None
     assert record.stretch(0, 1000).slow is None
     assert cut_record.prepare(rig(kind), y, RATE).slow is None

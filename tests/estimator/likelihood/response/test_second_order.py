@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_samples import langevin
+from rolling_record import record_of
 from scipy.signal import lfilter, welch
 
-from estimator.identification.batch.maximum import Tangents, without_flutter
-from estimator.identification.batch.measured_force import analyse
-from estimator.identification.batch.report import fitted_parameters
+from estimator.identification.batch import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.memory import TangentNoiseSums
 from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
-from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.response.second_order import tangent_noise
 from estimator.model.rig import Channel, EffectUse, Model
 
@@ -37,14 +35,14 @@ def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
     noise = 0.02 * np.random.default_rng(3).normal(size=x.size) * SIGMA
     psd = (0.02 * SIGMA) ** 2 / (RATE / 2)
 
-    record = prepare(model, x[:, None], RATE)
+    record = record_of(model, x[:, None], RATE)
     columns = Columns(build_balance(model), record.scales, 1e-9 * np.ones((1, 2)))
     found = tangent_noise(record, columns, 60.0)
     assert found is not None
     C = found.covariance
     k = len(columns.balance.columns) - 1
     seen = record.stretch(0, record.motion.rows).seen(0)[MARGIN_ROWS:-MARGIN_ROWS]
-    e = prepare(model, noise[:, None], RATE).motion.x[0]
+    e = record_of(model, noise[:, None], RATE).motion.x[0]
     tangent = 3 * seen**2
     assert C[0, k, k] == pytest.approx(np.var(tangent[record.motion.valid]), rel=0.05)
     assert found.bend[0, k] == pytest.approx(3.0, rel=3e-3)  # (x + e)^3 is x^3 + 3 <e^2> x in the mean
@@ -52,25 +50,9 @@ def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
     assert power[(f > 20) & (f < 250)].mean() == pytest.approx(C[0, k, k] * psd, rel=0.15)
 
 
-def test_it_is_taken_out_of_displacements_only() -> None:
-    for kind, some in (("displacement", True), ("velocity", False)):
-        model, x = oscillation(kind)
-        y = x + 0.05 * SIGMA * np.random.default_rng(3).normal(size=x.size)
-        solution = analyse(model, y[:, None], RATE)
-        columns = Columns(solution.balance, solution.record.scales, solution.start.widths)
-        found = tangent_noise(solution.record, columns)
-        assert (found is not None) == some
-        bank = gather(solution.record, solution.balance, solution.start.widths)
-        local = replace(solution.local, point=replace(solution.point, noise=np.array([1e-6])))
-        less = without_flutter(solution.record, bank, local, Tangents(np.zeros((1, 4, 4), complex), found))
-        assert np.allclose(less.grams[..., :-1, :-1], bank.grams[..., :-1, :-1])
-        assert np.any(less.grams < bank.grams) == some
-        assert less.tangents[-1, 0] == pytest.approx(bank.tangents[-1, 0] - (3e-6 * 340 if some else 0.0), rel=1e-3)
-
-
 def test_sums_over_blocks_say_the_same() -> None:
     model, x = oscillation("displacement")
-    record = prepare(model, x[:, None], RATE)
+    record = record_of(model, x[:, None], RATE)
     columns = Columns(build_balance(model), record.scales, record.scales * 0.01)
     sums = TangentNoiseSums(columns)
     grid = record.grid
@@ -97,7 +79,7 @@ def test_the_rolling_estimate_has_no_other_bias_than_the_fit() -> None:
         rolling = RollingEstimator(wide, RATE, 1e5, watch=())
         for part in np.split(y, np.arange(100, len(y), 100)):
             rolling.update(part)
-        a, b = rolling.snapshot().parameters, fitted_parameters(analyse(wide, y, RATE))
+        a, b = rolling.snapshot().parameters, fit_spectral(wide, y, RATE).parameters
         keys = [f"bearing1.x.{key}" for key in ("kL", "c", "cubic.kNL", "S")]
         apart.append([(a[key].value - b[key].value) / b[key].sd for key in keys])  # type: ignore[operator]
     assert np.abs(np.mean(apart, axis=0)).max() < 0.3, apart

@@ -8,7 +8,6 @@ from hidden_effects import one_bearing
 from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.line_notches import find_lines
 from estimator.simulation.simulator import simulate
 
 
@@ -26,20 +25,6 @@ def test_tones_on_the_resonance_do_not_disturb_the_fit() -> None:
         for p in [fit.parameters[f"{q}.{k}"]]
     ]
     assert np.sqrt(np.mean(np.square(z))) < 1.8
-
-
-def test_a_smooth_spectrum_has_no_lines() -> None:
-    rng = np.random.default_rng(0)
-    f = 150.0 + 3.125 * np.arange(2500)
-    shape = 1.0 + 500.0 / (1.0 + ((f - 1100.0) / 24.0) ** 2)  # a resonance, half-power width 48 Hz
-    false = 0
-    for _ in range(40):
-        power = shape[:, None] * rng.gamma(90, 1 / 90, size=(2500, 4))
-        false += len(find_lines(power, 120.0, f))
-    assert false <= 1
-    power[300] *= 3.0
-    (found,) = find_lines(power, 120.0, f)
-    assert found[0] < f[300] < found[1]
 
 
 def test_a_resonance_as_narrow_as_a_bin_is_no_line() -> None:
