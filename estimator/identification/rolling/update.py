@@ -18,8 +18,7 @@ from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.stream_record import Record, gather
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, inverse, maximise
-from estimator.likelihood.path.jacobian import levels
-from estimator.likelihood.path.measured_force import is_force_measured
+from estimator.likelihood.path.jacobian import is_force_measured, levels
 from estimator.likelihood.response.second_order import second_order_change, self_energies, without_noise
 from estimator.model.rig import Model
 from estimator.results import Parameter

@@ -22,8 +22,15 @@ from estimator.signals.band_limit import noise_shape
 from estimator.signals.blocks import BlockLayout, FrequencyNodes
 
 from .contour import contiguous_bands, phase_steps, shift_past_modes, slowest_modes
-from .jacobian import levels, log_determinant, noise_slope
-from .measured_force import is_force_measured, noise_bias, noise_responses, residual_over_noise
+from .jacobian import (
+    is_force_measured,
+    levels,
+    log_determinant,
+    noise_bias,
+    noise_responses,
+    noise_slope,
+    residual_over_noise,
+)
 
 AXIS_TO_LINE_NODES, AXIS_TO_LINE_WEIGHTS = 0.5 + 0.5 * leggauss(3)[0], 0.5 * leggauss(3)[1]  # Gauss-Legendre
 MARGIN_NODES = 2.0  # spacings of the nodes from a mode to the line: the error of the slopes is exp(-4 pi)

@@ -1,4 +1,8 @@
-"""Sums over frequency of the likelihood, compiled: log determinant, sensor noise referred to force, level."""
+"""Sums over frequency of the rolling likelihood: log determinant, sensor noise referred to force, level.
+
+Where the force is measured at every place there is no determinant (noise_bias.py): the slope of the residual power by
+the noise of the motion sensors takes its place. Laws act along the measured motion, so nothing is taken back there.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.force_balance import Balance
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -132,3 +137,34 @@ def levels(power: Array, floor: Array, count: Array, S: Array, noise: Array) -> 
     S, noise = S.copy(), noise.copy()
     _levels(power, floor, count, S, noise)
     return S, noise
+
+
+def is_force_measured(balance: Balance) -> bool:
+    """Whether the force is measured at every place of a balance."""
+    return {c.row for c in balance.columns if c.kind == "f"} == set(range(len(balance.places)))
+
+
+def noise_responses(balance: Balance, R: Complexes) -> Complexes:
+    """(f, columns, places) responses by which sensor noise enters each column: R without that of laws."""
+    out = R.copy()
+    out[:, [c.kind == "law" for c in balance.columns]] = 0.0
+    return out
+
+
+def noise_bias(
+    A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], share: Array
+) -> tuple[Array, Array]:
+    """Gradient (E,) and Hessian (E, E) by the entries of B of half of sum(|A|^2 N / S_r), S_r held; A = B R.
+
+    A : (f, P, P); R : (f, columns, P) as the noise sees them; share : (f, P, P), N of each place over S_r of each row.
+    """
+    seen = R[:, column]  # (f, E, P)
+    own = share[:, row]
+    g = np.einsum("fep,fep,fep->e", A[:, row].conj(), seen, own).real
+    h = np.einsum("fap,fbp,fap->ab", seen.conj(), seen, own).real
+    return g, np.where(row[:, None] == row, h, 0.0)
+
+
+def residual_over_noise(power: Array, spread: Array, count: Array) -> float:
+    """Residual power (cells, P) over its expected PSD `spread` (cells, P), summed. count : (cells,) bins."""
+    return float(count @ (power / spread).sum(axis=1))
