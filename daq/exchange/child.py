@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import time_unit
-from .leaves import Found, Told, fields_of, of_leaves
+from .leaves import Found, Told, fields_of, of_leaves, same_times
 
 REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
+MOST_LATE_SAMPLES = 0.25  # between the first samples of channels
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 OLDEST_S = 315_532_800.0  # Unix time of 1980: dates before it are of clocks that were never set
 TIME_MASTER = 1  # asammdf's sync_type of a master channel that is a time; 0 of one that says nothing
@@ -63,7 +64,7 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
     time = signals[first].timestamps
     for n, s in signals.items():
         _over_time(file, n, places[n][1])
-        if len(s.timestamps) != len(time) or not np.array_equal(s.timestamps, time):
+        if not same_times(s.timestamps, time):
             raise Told(f"{n} was not sampled at the same times as {first}; resample them to one time first")
     units = {n: s.unit for n, s in signals.items() if s.unit}
     time_name = _time_name(file, first, places[first][1])
@@ -178,8 +179,15 @@ def _tdms(path: Path, names: Sequence[str]) -> Found:
         units = {n: str(channels[p[0]].properties.get("unit_string", "")) for n, p in asked.items() if p}
         begun = [c.properties["wf_start_time"] for c in of if "wf_start_time" in c.properties]
         mine = {p for paths in asked.values() for p in paths}
+    offsets = [float(c.properties.get("wf_start_offset", 0.0)) for c in of]
+    begun_ns = [int(np.datetime64(b, "ns").astype(np.int64)) for b in begun]
+    apart_s = [(ns - begun_ns[0]) * 1e-9 for ns in begun_ns]
+    late = [o + a for o, a in zip(offsets, apart_s or [0.0] * len(offsets), strict=False)]
+    least = min((step for p, step in steps if p in mine), default=0.0)
+    if late and (len(begun) not in (0, len(of)) or max(late) - min(late) > MOST_LATE_SAMPLES * least):
+        raise Told(f"its channels begin up to {max(late) - min(late):.6g} s apart; cut them to one start")
     rates = [(f"wf_increment of {p}", 1.0 / step) for p, step in steps if step > 0 and p in mine]
-    started = int(np.datetime64(begun[0], "ns").astype(np.int64)) if begun else found.started
+    started = begun_ns[0] if begun else found.started
     units = {n: u for n, u in units.items() if u}
     return replace(found, rates=found.rates + rates, units=units, started=started)
 

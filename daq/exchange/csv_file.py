@@ -122,6 +122,8 @@ def _header(path: Path, lines: list[str], names: Sequence[str]) -> _Table:
         first = first or (None if marked else table)
     if found is None and first is None:
         raise LogError(f"{path}: is empty; a header of channel names and rows of numbers are needed")
+    if found is None and first is not None and all(_number(title) for title in first.titles if title):
+        raise LogError(f"{path}: has no header: its first line is numbers; write the names of the channels above them")
     table = found or first or _titles(path, "", 0, head)
     table.rate_hz, table.started_ns = head.rate_hz, head.started_ns
     return table

@@ -20,6 +20,7 @@ from daq.base.contract.errors import LogError
 from . import child
 from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit, titled
 from .csv_file import read_csv
+from .leaves import part_of
 from .lvm_file import read_lvm
 from .uff_file import read_uff
 from .wav_file import read_wav
@@ -86,7 +87,8 @@ def of_npz(path: Path, file: Mapping[str, Column], names: Sequence[str]) -> Colu
     times = [k for k in file if k not in names and time_unit(k) is not None]
     known = {*names, *times, *(k for k, _ in rates), "channels", "units", "started"}
     others = dict.fromkeys([k for k in file if k not in known], np.empty(0))  # for messages only
-    columns = Columns({k: file[k] for k in names if k in file} | others, one_rate(path, rates))
+    parts = {k: part[0] for k in names if k not in file and (part := part_of(file, k)) is not None}
+    columns = Columns({k: file[k] for k in names if k in file} | parts | others, one_rate(path, rates))
     if {"channels", "units"} <= set(file):
         channels, units = (np.ravel(file[k]).astype(str).tolist() for k in ("channels", "units"))
         columns = replace(columns, units={n: u for n, u in zip(channels, units, strict=False) if u})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .columns import START_NAMES, plain, stated_rate, time_unit
 
+SAME_TIME_SHARE = 1e-3  # of a sample: times that differ by less are the same
 MOST_LEVELS = 8  # of structs in structs
 OF_SAMPLES = frozenset(("data", "values", "value", "signals"))  # names of a channel's samples in a struct of its own
 SCALE_NAMES = frozenset(
@@ -77,7 +78,11 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
     ends_of = {p: p.rpartition(separator)[2] for p in near}
     rates = [(p, rate) for p, v in near.items() if np.size(v) == 1 for _, rate in stated_rate([(ends_of[p], v)])]
     times = [p for p in near if time_unit(ends_of[p]) is not None and np.size(near[p]) > 1]
-    started = next((text_of(v) for p, v in near.items() if plain(ends_of[p]) in START_NAMES), None)
+    starts = {p: t for p, v in near.items() if plain(ends_of[p]) in START_NAMES and (t := text_of(v))}
+    started = next(iter(starts.values()), None)
+    own_starts = [starts.get(_beneath(starts, path, separator) or "") for path in paths]
+    if len(set(own_starts)) > 1:
+        raise Told(f"its channels begin at different times ({', '.join(map(str, own_starts[:4]))}); cut them to one")
     others = {p: np.empty(0) for p, v in leaves.items() if p not in paths and p not in times and np.ndim(v) >= 1}
     values, units, odd = {}, {}, []
     for name, (value, path) in picked.items():
@@ -91,8 +96,13 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
                 odd.append(f"{name} has {key} = {number[0]:g} beside it, which is not applied: check that it is in it")
     time, time_name = None, "time"
     if times:
-        time, time_name = np.asarray(near[times[0]]), ends_of[times[0]]
-        about = _about(leaves, times[0], separator)
+        of = {name: _beneath(times, path, separator) or times[0] for name, (_, path) in picked.items()}
+        at = next(iter(of.values()), times[0])
+        for name, other in of.items():
+            if other != at and not same_times(np.asarray(near[other]), np.asarray(near[at])):
+                raise Told(f"{name} has times of its own ({other}), others than {at}; resample them to one time first")
+        time, time_name = np.asarray(near[at]), ends_of[at]
+        about = _about(leaves, at, separator)
         unit = text_of(about.get("unit", about.get("units"))) or ""
         if since := _SINCE_DATE.match(unit):
             unit, started = since[1], started or since[2]
@@ -100,6 +110,13 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
         if time.dtype.kind not in "iufM":
             time = None if rates else time
     return Found(values | others, rates, time, units, time_name, started, twice, "; ".join(odd))
+
+
+def _beneath(paths: Iterable[str], of: str, separator: str) -> str | None:
+    """The one of `paths` that speaks of the samples at `of` alone: under their path, or in a struct of theirs."""
+    home, _, end = of.rpartition(separator)
+    homes = [of, home] if home and plain(end) in OF_SAMPLES else [of]
+    return next((p for p in paths if p.rpartition(separator)[0] in homes), None)
 
 
 def _picked(
@@ -115,12 +132,29 @@ def _picked(
             twice[name] = f'{text}; say which one by alias = "{ends[0]}" of its channel in the rig file'
         elif ends:
             picked[name] = leaves[ends[0]], ends[0]
-        elif (part := _PART_OF.match(name)) and np.ndim(leaves.get(part[1], 0)) == 2:
-            table = np.asarray(leaves[part[1]])
-            table, number = (table, part[3]) if part[2] == ":" else (table.T, part[2])
-            if number.isdecimal() and 1 <= int(number) <= table.shape[1] and ":" in part.groups():
-                picked[name] = table[:, int(number) - 1], part[1]
+        elif (part := part_of(leaves, name)) is not None:
+            picked[name] = part
     return picked, twice
+
+
+def part_of(leaves: Mapping[str, Any], name: str) -> tuple[NDArray[Any], str] | None:
+    """A column "data(:,2)" or a row "data(2,:)" of a matrix, and the name of that."""
+    part = _PART_OF.match(name)
+    if part is None or part[1] not in leaves or np.ndim(leaves[part[1]]) != 2:
+        return None
+    table, number = np.asarray(leaves[part[1]]), part[3]
+    if part[2] != ":":
+        table, number = table.T, part[2]
+    there = number.isdecimal() and 1 <= int(number) <= table.shape[1] and ":" in part.groups()
+    return (table[:, int(number) - 1], part[1]) if there else None
+
+
+def same_times(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    """Whether two vectors of times say the same of samples."""
+    if one.shape != other.shape or one.dtype.kind not in "iuf" or other.dtype.kind not in "iuf" or one.ndim != 1:
+        return bool(np.array_equal(one, other))
+    step = float(np.median(np.diff(one))) if one.size > 1 else 0.0
+    return one.size == 0 or bool(np.abs(one - other.astype(np.float64)).max() <= SAME_TIME_SHARE * abs(step))
 
 
 def _about(leaves: Mapping[str, Any], path: str, separator: str) -> dict[str, Any]:

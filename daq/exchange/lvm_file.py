@@ -96,6 +96,10 @@ def _columns(
         if any(not np.array_equal(t, time) for t in times):
             raise LogError(f"{path}: its channels were not sampled at the same times; resample them to one time first")
     of = number[wanted[0]] if wanted else 0
+    for key in ("Date", "Time", "X0"):
+        said = {_cell(head, key, number[name]) for name in wanted}
+        if len(said) > 1:
+            raise LogError(f"{path}: its channels begin at different times ({key} {', '.join(sorted(said))}); cut them")
     started_ns = date_ns(f"{_cell(head, 'Date', of).replace('/', '-')} {_cell(head, 'Time', of)}")
     if started_ns is not None:
         started_ns += round(1e9 * (time[0] if time is not None and len(time) else _first(head, of)))

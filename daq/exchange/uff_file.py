@@ -13,6 +13,7 @@ from daq.base.contract.errors import LogError
 
 from .columns import Column, Columns, date_ns, time_unit
 
+MOST_LATE_SAMPLES = 0.25  # between the first samples of records
 TIME_TYPE = 17  # of an abscissa
 SAME_STEP_REL = 1e-6  # between the steps of records: they are written in single precision
 VALUES_OF_LINE = 6  # at most, in a dataset 58 as text: a last line may be filled up
@@ -70,6 +71,9 @@ def _sampled(
                 raise LogError(f"{path}: {text}; resample them to one time first")
         return None, first * unit
     steps = [float(s["abscissa_inc"]) * unit for s in records]
+    begins = [float(s.get("abscissa_min", 0.0)) * unit for s in records]
+    if max(begins) - min(begins) > MOST_LATE_SAMPLES * min(map(abs, steps)):
+        raise LogError(f"{path}: its records begin {max(begins) - min(begins):.6g} s apart; cut them to one start")
     for name, step in zip(names, steps, strict=True):
         if not math.isclose(step, steps[0], rel_tol=SAME_STEP_REL):
             text = f"{names[0]} is sampled at {1 / steps[0]:.6g} Hz, {name} at {1 / step:.6g} Hz"

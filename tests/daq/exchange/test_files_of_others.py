@@ -131,6 +131,7 @@ def test_labview(tmp_path: Path, columns: str, ending: str) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
+        (lvm("No").replace("Time\t22:13:20\t22:13:20", "Time\t22:13:20\t22:13:21"), "begin at different times"),
         (lvm("One", segments=2), "holds 2 segments"), (lvm("No", step="0.01\t0.02"), "different Delta_X"),
         (lvm("One", step="0.02\t0.02"), "says a rate of 50 Hz, but its time gives 100 Hz"),
         (lvm("No").replace("b1x", "b9x"), 'no channel "b1x"'),
@@ -165,16 +166,19 @@ def test_sound_of_24_bits_and_of_floats(tmp_path: Path, extensible: bool) -> Non
     assert notes == ["its samples are floats within +-1: 1 is taken as full scale, 500 m/s^2"]
 
 
-def uff(path: Path, binary: int = 0, unit: str = "s", steps: tuple[float, float] = (0.01, 0.01), **more: Any) -> Path:
+def uff(
+    path: Path, binary: int = 0, unit: str = "s", steps: tuple[float, float] = (0.01, 0.01),
+    starts: tuple[float, float] = (0.0, 0.0), **more: Any,
+) -> Path:  # fmt: skip
     import pyuff
 
-    for name, values, step in (("b1x", X, steps[0]), ("b2x", Y, steps[1])):
-        about: dict[str, Any] = {"x": K * step, "abscissa_spacing": 1, "abscissa_inc": step} | more
+    for name, values, step, start in (("b1x", X, steps[0], starts[0]), ("b2x", Y, steps[1], starts[1])):
+        about: dict[str, Any] = {"x": start + K * step, "abscissa_spacing": 1, "abscissa_inc": step} | more
         pyuff.UFF(str(path)).write_sets(
             pyuff.prepare_58(
                 binary=binary, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
                 ref_ent_name="NONE", ref_node=0, ref_dir=0, data=values.astype(float), id1=name, id2="", id3="",
-                id4="", id5="", ord_data_type=4, abscissa_min=0.0, num_pts=N, abscissa_axis_units_lab=unit,
+                id4="", id5="", ord_data_type=4, abscissa_min=start, num_pts=N, abscissa_axis_units_lab=unit,
                 **({"abscissa_spec_data_type": 17, "orddenom_spec_data_type": 0, "z_axis_spec_data_type": 0} | about),
             ),
             "add",
@@ -192,6 +196,7 @@ def test_universal_files_with_times_of_their_own(tmp_path: Path, binary: int) ->
     for refused, why in (
         (uff(tmp_path / "c.uff", binary, x=hole, abscissa_spacing=0), "about 50 samples are missing before row 201"),
         (uff(tmp_path / "d.uff", binary, steps=(0.01, 0.02)), "b1x is sampled at 100 Hz, b2x at 50 Hz"),
+        (uff(tmp_path / "g.uff", binary, starts=(0.0, 0.5)), "records begin 0.5 s apart"),
         (uff(tmp_path / "e.uff", binary, "fortnights"), "no unit of time"),
         (uff(tmp_path / "f.uff", binary, abscissa_spec_data_type=18), "over something that is no time"),
     ):
@@ -221,6 +226,34 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "d.mat", {"d": np.vstack([X, Y]), "fs": 100.0})
     rig = RIG.replace('name = "b1x"', 'name = "b1x"\nalias = "d(1,:)"')
     check(read(tmp_path / "d.mat", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(2,:)"')))
+
+
+def test_channels_with_times_and_starts_of_their_own_are_refused(tmp_path: Path) -> None:
+    import scipy.io
+
+    of = {name: {"Data": values, "Time": K / RATE} for name, values in (("b1x", X), ("b2x", Y))}
+    scipy.io.savemat(tmp_path / "a.mat", of)
+    check(read(tmp_path / "a.mat"))
+    of["b2x"]["Time"] = K / 50.0
+    scipy.io.savemat(tmp_path / "b.mat", of)
+    with pytest.raises(LogError, match=r"b2x has times of its own \(b2x.Time\), others than b1x.Time"):
+        read(tmp_path / "b.mat")
+    of = {n: {"Data": v, "fs": RATE, "start_time": t} for n, v, t in (("b1x", X, "22:13:20"), ("b2x", Y, "22:13:21"))}
+    scipy.io.savemat(tmp_path / "c.mat", of)
+    with pytest.raises(LogError, match="its channels begin at different times"):
+        read(tmp_path / "c.mat")
+
+
+def test_a_table_without_a_header_is_called_one(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("0.00,1,2\n0.01,3,4\n")
+    with pytest.raises(LogError, match="has no header: its first line is numbers; write the names"):
+        read(tmp_path / "a.csv")
+
+
+def test_columns_of_a_matrix_in_an_archive(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", d=np.column_stack([X, Y]), fs=100.0)
+    rig = RIG.replace('name = "b1x"', 'name = "b1x"\nalias = "d(:,1)"')
+    check(read(tmp_path / "a.npz", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(:,2)"')))
 
 
 def test_a_row_that_an_mf4_calls_invalid_is_no_sample(tmp_path: Path) -> None:
@@ -280,4 +313,9 @@ def test_a_scaled_channel_of_tdms(tmp_path: Path) -> None:
     }  # fmt: skip
     with tdms.TdmsWriter(tmp_path / "a.tdms") as file:
         file.write_segment([tdms.ChannelObject("g", n, v, scaling) for n, v in (("b1x", X), ("b2x", Y))])
+    late = scaling | {"wf_start_offset": 0.5}
+    with tdms.TdmsWriter(tmp_path / "b.tdms") as file:
+        file.write_segment([tdms.ChannelObject("g", n, v, a) for n, v, a in (("b1x", X, scaling), ("b2x", Y, late))])
+    with pytest.raises(LogError, match="its channels begin up to 0.5 s apart"):
+        read(tmp_path / "b.tdms")
     check(read(tmp_path / "a.tdms"), (X * 0.5 + 1) * 9.80665, (Y * 0.5 + 1) * 9.80665)
