@@ -6,8 +6,9 @@ comb of n lines are gamma distributed with n degrees. One line may contribute on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy.special import gammaincc, gammaln
 from estimator.arrays import Array
 
 from .envelope import EnvelopeSpectrum
-from .spectra import HANN_BIN_CORRELATION, LevelSpectrum, local_noise
+from .spectra import HANN_BIN_CORRELATION, LevelSpectrum, local_noise, ratio_at_nats
 
 LINE_WIDTHS_BINS = (1, 4, 16)  # strikes that slip have wide lines
 HARMONIC_COUNTS = (2, 3, 5, 8)  # of the combs that are tried
@@ -27,7 +28,7 @@ MIN_CLEAR_HARMONICS = 2
 LOWEST_BINS = 3  # next to 0 Hz, where the window spreads the mean
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LineTable:
     """Nats of every bin of one envelope spectrum for lines of one width.
 
@@ -54,6 +55,11 @@ class LineTable:
     nats: Array
     usable: NDArray[np.bool_]
 
+    @cached_property
+    def clear(self) -> NDArray[np.intp]:
+        """Bins of clear lines, rising."""
+        return np.flatnonzero(self.nats > CLEAR_LINE_NATS)
+
     def bins_at(self, hz: Array) -> NDArray[np.intp]:
         """Nearest bins of some frequencies, Hz; beyond the last bin: its number."""
         return np.minimum(np.rint(hz * self.spectrum.seconds), self.nats.size).astype(np.intp)
@@ -72,40 +78,62 @@ class Comb:
     table: LineTable
 
 
-def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided_hz: Array, avoided_sd_hz: Array) -> list[LineTable]:
-    """The tables of one spectrum for every width of a line.
+class AvoidedLines:
+    """Bins at frequencies at which lines have another cause, for all envelope spectra of one resolution.
 
-    avoided_hz, avoided_sd_hz : (k,) frequencies at which lines have another cause, and their standard deviations.
+    Parameters
+    ----------
+    hz, sd_hz : (k,) float64
+        Frequencies and their standard deviations.
+    seconds : float
+        Length of a piece.
+    bins : int
+        Of the longest spectrum.
     """
-    out = []
+
+    def __init__(self, hz: Array, sd_hz: Array, seconds: float, bins: int) -> None:
+        self._masks: dict[int, NDArray[np.bool_]] = {}
+        for width in LINE_WIDTHS_BINS:
+            out = np.zeros(bins + 2, bool)
+            # under a box a line has no flanks to tell
+            reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)
+            for centre, r in zip(hz * seconds, reach, strict=True):
+                out[max(0, int(np.ceil(centre - r))) : max(0, int(centre + r) + 1)] = True
+            self._masks[width] = out
+
+    def bins(self, P: Array, width: int) -> NDArray[np.bool_]:
+        """(bins,) whether a bin of a spectrum P belongs to such a line, or to the flank of one."""
+        out = self._masks[width]
+        own = out[: P.size].copy()
+        for d in (1, 2):  # the flanks of a line under the window are lower than its peak
+            own[:-d] |= out[d : P.size] & (P[:-d] < P[d:])
+            own[d:] |= out[: P.size - d] & (P[d:] < P[:-d])
+        return own
+
+
+def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines) -> Iterator[LineTable | None]:
+    """The table of one spectrum for every width of a line; None of one with too few clear lines for a comb."""
     for width in LINE_WIDTHS_BINS:
         if spectrum.power.size < 8 * width:
             continue
         count = max(1.0, spectrum.count * width / HANN_BIN_CORRELATION) if width > 1 else float(spectrum.count)
         P = uniform_filter1d(spectrum.power, width, mode="nearest") if width > 1 else spectrum.power
+        random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
+        usable = ~avoided.bins(P, width)
+        usable[:LOWEST_BINS] = False
+        high = usable & (ratio_at_nats(count, CLEAR_LINE_NATS) * random < P)
+        if np.count_nonzero(high) < MIN_CLEAR_HARMONICS:  # the noise is no less than that of random phases
+            yield None
+            continue
         noise = np.repeat(local_noise(P[width // 2 :: width], count), width)[: P.size]
         noise = np.pad(noise, (0, P.size - noise.size), mode="edge")
-        random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
         noise = np.maximum(noise, random)
         level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise)
-        usable = ~_avoided(P, spectrum.seconds, width, avoided_hz, avoided_sd_hz)
-        usable[:LOWEST_BINS] = False
         nats = np.where(usable, -level.log_p(np.arange(P.size)), 0.0)
-        out.append(LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable))
-    return out
-
-
-def _avoided(P: Array, seconds: float, width: int, hz: Array, sd_hz: Array) -> NDArray[np.bool_]:
-    """(bins,) whether a bin belongs to a line at one of some frequencies, or to the flank of such a line."""
-    out = np.zeros(P.size + 2, bool)
-    reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)  # under a box a line has no flanks to tell
-    for centre, r in zip(hz * seconds, reach, strict=True):
-        out[max(0, int(np.ceil(centre - r))) : max(0, int(centre + r) + 1)] = True
-    own = out[: P.size].copy()
-    for d in (1, 2):  # the flanks of a line under the window are lower than its peak
-        own[:-d] |= out[d : P.size] & (P[:-d] < P[d:])
-        own[d:] |= out[: P.size - d] & (P[d:] < P[:-d])
-    return own
+        if np.count_nonzero(nats > CLEAR_LINE_NATS) < MIN_CLEAR_HARMONICS:
+            yield None
+            continue
+        yield LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable)
 
 
 def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0, searched: float = 0.0) -> Comb | None:
@@ -124,9 +152,11 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     """
     if not fundamentals_hz.size:
         return None
+    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
+    if not _has_clear_lines(table, fundamentals_hz, m):
+        return None
     nats = np.append(table.nats, 0.0)
     usable = np.append(table.usable, False)
-    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
     main = fundamentals_hz[:, None] * m
     at = table.bins_at(main)
     own, count = nats[at], usable[at].astype(np.int64)
@@ -149,6 +179,13 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     i = int(np.argmin(log_p - 1e-4 * everything))
     paid = np.log(max(searched, fundamentals_hz.size) * len(HARMONIC_COUNTS))
     return Comb(hz=float(fundamentals_hz[i]), log_p=float(log_p[i] + paid), nats=float(everything[i]), table=table)
+
+
+def _has_clear_lines(table: LineTable, fundamentals_hz: Array, m: NDArray[np.intp]) -> bool:
+    """Whether the harmonics m of fundamentals between the first and the last may be eligible: far fewer are."""
+    low, high = fundamentals_hz[0] * m * table.spectrum.seconds, fundamentals_hz[-1] * m * table.spectrum.seconds
+    there = np.searchsorted(table.clear, np.floor(low)) < np.searchsorted(table.clear, np.ceil(high), side="right")
+    return bool((there[0] or there[1]) and np.count_nonzero(there) >= MIN_CLEAR_HARMONICS)
 
 
 def log_gamma_tail(n: NDArray[np.int64], x: Array) -> Array:
@@ -198,7 +235,7 @@ def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> A
     first = max(LOWEST_BINS, int(np.ceil(low_hz * table.spectrum.seconds)))
     last = min(int(high_hz * table.spectrum.seconds) + 1, table.nats.size - 1)
     nats = table.nats
-    bins = first + np.flatnonzero(nats[first:last] > CLEAR_LINE_NATS)
+    bins = table.clear[(table.clear >= first) & (table.clear < last)]
     bins = bins[(nats[bins] >= nats[bins - 1]) & (nats[bins] >= nats[bins + 1])]
     bins = bins[np.argsort(-nats[bins])][:most]
     return bins / table.spectrum.seconds

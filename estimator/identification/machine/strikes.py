@@ -25,6 +25,7 @@ from estimator.results import Message
 
 from .combs import (
     HARMONIC_COUNTS,
+    AvoidedLines,
     Comb,
     LineTable,
     best_comb,
@@ -160,16 +161,17 @@ def _channel_search(
     angle: Array | None,
 ) -> _ChannelSearch:
     """The search in the envelope spectra of one channel; of their tables only those of the clearest combs are kept."""
-    avoided, avoided_sd = _avoided(speed)
     out = _ChannelSearch(named=[None] * len(kinds))
-    for spectrum in envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle):
-        for table in line_tables(channel, spectrum, avoided, avoided_sd):
-            out.tables += 1
-            out.named = [
-                clearest([best, _comb_of_kind(table, kind, speed)])
-                for best, kind in zip(out.named, kinds, strict=True)
-            ]  # fmt: skip
-            out.free = clearest([out.free, _free_comb(table, speed)])
+    spectra = envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle)
+    longest = max((spectrum.power.size for spectrum in spectra), default=0)
+    avoided = AvoidedLines(*_avoided(speed), pieces.seconds, longest)
+    for table in (table for spectrum in spectra for table in line_tables(channel, spectrum, avoided)):
+        out.tables += 1
+        if table is None:
+            continue
+        combs = (_comb_of_kind(table, kind, speed) for kind in kinds)
+        out.named = [clearest([best, comb]) for best, comb in zip(out.named, combs, strict=True)]
+        out.free = clearest([out.free, _free_comb(table, speed)])
     return out
 
 
