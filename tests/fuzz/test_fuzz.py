@@ -68,7 +68,7 @@ def test_any_input_is_read_or_refused(name: str, tmp_path: Path) -> None:
     for good in seeds(name):
         TARGETS[name](good, tmp_path)  # imports and compiles
 
-    @settings(max_examples=EXAMPLES.get(name, 100), suppress_health_check=list(HealthCheck), database=None)
+    @settings(max_examples=EXAMPLES.get(name, 60), suppress_health_check=list(HealthCheck), database=None)
     @given(damaged(name))
     def try_it(data: bytes) -> None:
         with guarded(tmp_path):
