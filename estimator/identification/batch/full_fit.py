@@ -25,7 +25,7 @@ from estimator.identification.structure import (
     transfer_bias,
     upper_edge,
 )
-from estimator.likelihood.fitting.fitted_values import fitted_parameters
+from estimator.likelihood.fitting.fitted_values import Estimate, fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.motion.located_law import has_nonlinear_memory
@@ -77,7 +77,11 @@ class FullFit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = fitted_parameters(self.point) | self.disturbances
+        return self.with_estimates(None)
+
+    def with_estimates(self, estimates: Mapping[str, Estimate] | None) -> dict[str, Parameter]:
+        """Every parameter by full name. estimates : of the fitted ones; None: those of the working point."""
+        found = fitted_parameters(self.point, estimates) | self.disturbances
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
         scaleless = unknown_mass.places_without_mass(self.model)
         return with_unidentifiable_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses

@@ -11,11 +11,13 @@ from estimator.identification.structure import transfer_faults
 from estimator.identification.structure.spectral_cells import mean_power
 from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
 from estimator.likelihood.motion.checks import check_record
+from estimator.likelihood.motion.prepare import RECORD_LONG_CODE
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import LINEAR_UNITS, Model
 from estimator.results import Fit, Message, Parameter
 
 from .full_fit import FullFit, fit_all_effects
+from .long_record import fit_of_all_parts
 
 MAX_UNMEASURED_POWER_REL = 1e-3  # of the power of the measured force: a smaller rest is noise or force, either will do
 MAX_LAST_STEP_SD = 1.0  # last step of a fit, standard deviations: a larger one has not converged
@@ -52,7 +54,12 @@ def fit_spectral(model: Model, y: Array, rate_hz: float) -> Fit:
         data = replace(found.point.data, residual_is_noise=True)
         found = replace(found, point=fit_model(data, list(found.point.placed), found.point))
     messages = (*found.messages, *_fit_messages(found))
-    return replace(found.to_fit(), parameters=_given_masses(found.model) | found.parameters, messages=messages)
+    whole = fit_of_all_parts(found, y, rate_hz)
+    result = found.to_fit() if whole is None else replace(found.to_fit(), samples=whole.samples)
+    if whole is not None:
+        messages = tuple(m for m in messages if m.code != RECORD_LONG_CODE)
+    parameters = found.with_estimates(None if whole is None else whole.estimates)
+    return replace(result, parameters=_given_masses(found.model) | parameters, messages=messages)
 
 
 def _given_masses(model: Model) -> dict[str, Parameter]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.uncertainty import joint_covariance
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.rig import EffectUse, Model, Setting
+from estimator.model.rig import LINEAR_UNITS, EffectUse, Model, Setting
 from estimator.results import Parameter
 
 LAW_NOT_REACHED = "the motion in this record is too small to reach this law"
@@ -51,30 +51,48 @@ def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
     return replace(use, parameters=parameters)
 
 
-def fitted_parameters(point: WorkingPoint) -> dict[str, Parameter]:
-    """Every parameter of a working point by full name, with its standard deviation."""
-    places = point.data.places
-    k = len(point.fit.names)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A fitted value with its standard deviation, both in `unit`, before it is said whether it is identifiable."""
+
+    value: float
+    sd: float
+    unit: str
+
+
+def fitted_estimates(point: WorkingPoint) -> dict[str, Estimate]:
+    """Every fitted parameter of a working point by full name, and S of every place."""
+    places, k = point.data.places, len(point.fit.names)
     spread = np.sqrt(np.diag(joint_covariance(point)))
     sd = dict(zip(point.fit.names, spread[:k] * point.fit.scales, strict=True))
-    out: dict[str, Parameter] = {}
+    values: dict[str, tuple[float, str]] = {}
     for i, place in enumerate(places):
-        linear = {"kL": (point.kL[i], "N/m"), "c": (point.c[i], "N s/m")}
-        linear |= {"m": (point.data.mass[i], "kg")} if f"{place}.m" in sd else {}
-        for key, (value, unit) in linear.items():
-            name = f"{place}.{key}"
-            known = Parameter(float(value), 0.0, unit, reason="given")
-            out[name] = Parameter.from_estimate(float(value), sd[name], unit) if name in sd else known
-        out[f"{place}.S"] = Parameter.from_estimate(float(point.S[i]), float(point.S[i] * spread[k + i]), "N^2/Hz")
+        linear = {"kL": (point.kL[i], "N/m"), "c": (point.c[i], "N s/m"), "m": (point.data.mass[i], "kg")}
+        values |= {f"{place}.{key}": z for key, z in linear.items()}
+        values[f"{place}.S"] = float(point.S[i]), "N^2/Hz"
+        sd[f"{place}.S"] = float(point.S[i] * spread[k + i])
+    for use in point.placed:
+        values |= {use.name(j): (use.p[j], q.unit) for j, q in enumerate(use.effect.parameters)}
+    found = {name: (float(value), float(sd[name]), unit) for name, (value, unit) in values.items() if name in sd}
+    return {name: Estimate(value=value, sd=s, unit=unit) for name, (value, s, unit) in found.items()}
+
+
+def fitted_parameters(point: WorkingPoint, estimates: Mapping[str, Estimate] | None = None) -> dict[str, Parameter]:
+    """Every parameter of a working point by full name, with its standard deviation.
+
+    estimates : of the fitted ones by full name; None: those of the point.
+    """
+    found = fitted_estimates(point) if estimates is None else estimates
+    out = {name: Parameter.from_estimate(e.value, e.sd, e.unit) for name, e in found.items()}
+    out |= {k: Parameter(v, 0.0, LINEAR_UNITS[k.rsplit(".", 1)[1]], reason="given") for k, v in point.data.held.items()}
     for use in point.placed:
         for k, q in enumerate(use.effect.parameters):
-            name = use.name(k)
-            if name in sd:
-                out[name] = Parameter.from_estimate(float(use.p[k]), sd[name], q.unit)
-            elif use.free[k]:
-                out[name] = Parameter(None, None, q.unit, identifiable=False, reason=LAW_NOT_REACHED)
-            else:
-                out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
+            if use.name(k) not in out:
+                out[use.name(k)] = (
+                    Parameter(None, None, q.unit, identifiable=False, reason=LAW_NOT_REACHED)
+                    if use.free[k]
+                    else Parameter(float(use.p[k]), 0.0, q.unit)
+                )
     return out
 
 

@@ -5,7 +5,7 @@ noise of an accelerometer is 1 / w^4 in the displacement and dominates at the lo
 evaluated on E[x | measured], the Wiener filter with the measured spectrum, and smoothed over the remaining error
 (regression calibration). The linear regressors and the mean tangent of a law keep the measured displacement, as the
 likelihood accounts for the noise in them. Displacement sensors are not filtered: their noise is strong above the
-resonance, where the filter would remove the third harmonic; `fit` corrects the Gram matrices for it instead.
+resonance, where the filter would remove the third harmonic; the Gram matrices are corrected for it instead.
 
 References
 ----------

@@ -241,12 +241,16 @@ def time_folds(blocks: int) -> NDArray[np.int64]:
     return np.minimum(np.arange(blocks) * TIME_FOLDS // blocks, TIME_FOLDS - 1)
 
 
-def leading_of_folds(fold: NDArray[np.int64], blocks: int) -> NDArray[np.int64] | None:
-    """Indices of the first blocks of every time fold, about `blocks` in all; None if there are hardly more."""
+def leading_of_folds(fold: NDArray[np.int64], blocks: int, part: int = 0) -> NDArray[np.int64] | None:
+    """Indices of the first blocks of every time fold, about `blocks` in all; None if there are hardly more.
+
+    part : 1 for the blocks that follow on the first ones, and so on; empty behind the last.
+    """
     per_fold = max(2, blocks // TIME_FOLDS)
     if fold.size <= 1.25 * per_fold * TIME_FOLDS:
         return None
-    return np.concatenate([np.flatnonzero(fold == f)[:per_fold] for f in range(TIME_FOLDS)])
+    own = slice(part * per_fold, (part + 1) * per_fold)
+    return np.concatenate([np.flatnonzero(fold == f)[own] for f in range(TIME_FOLDS)])
 
 
 def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:

@@ -27,6 +27,7 @@ from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
+RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
@@ -34,15 +35,17 @@ MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is 
 MAX_SAMPLES = 6e6
 
 
-def prepare(model: Model, y: Array, rate_hz: float, free_masses: Collection[str] = ()) -> MotionRecord:
+def prepare(
+    model: Model, y: Array, rate_hz: float, free_masses: Collection[str] = (), part: int = 0
+) -> MotionRecord:  # fmt: skip
     """Motion record of y (n, channels), SI, at most MAX_SAMPLES of it.
 
-    free_masses : places whose mass is fitted, beside those of unknown mass under a measured force. Raises DataError as
-    `motion_record` does.
+    free_masses : places whose mass is fitted, beside those of unknown mass under a measured force. part : number of the
+    part of a longer record. Raises DataError as `motion_record` does.
     """
     return_freed_memory(y)
     y = corrected_record(model, y, rate_hz)
-    return motion_record(model, y, rate_hz, most_samples=MAX_SAMPLES, free_masses=free_masses)
+    return motion_record(model, y, rate_hz, most_samples=MAX_SAMPLES, free_masses=free_masses, part=part)
 
 
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
@@ -55,17 +58,17 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     if whole <= 1.25 * kept or used < 0.9 * kept:
         return ()
     text = f"{used:.0f} s of the record's {whole:.0f} s are used, in six stretches spread over the record"
-    return (Message("record_long", text),)
+    return (Message(RECORD_LONG_CODE, text),)
 
 
 def motion_record(
     model: Model, y: Array, rate_hz: float, block: int = 8192, most_samples: float = np.inf,
-    free_masses: Collection[str] = (),
+    free_masses: Collection[str] = (), part: int = 0,
 ) -> MotionRecord:  # fmt: skip
     """Motion record of y (n, channels of the model), SI, in valid blocks of `block` rows (less for a short record).
 
-    most_samples : of all places; of a longer record the first blocks of every time fold are kept. Raises DataError if
-    fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
+    most_samples : of all places; of a longer record the first blocks of every time fold are kept, or those of a later
+    part. Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
     y = real_samples(y)
     places = model.places
@@ -75,11 +78,11 @@ def motion_record(
         block //= 2
     filtered = _band_limited(model, y, columns, rate_hz)
     starts = _valid_starts(filtered.valid, block)
+    fold = time_folds(starts.size)
+    pick = None if most_samples == np.inf else leading_of_folds(fold, int(most_samples / len(places) / block), part)
+    starts, fold = (starts, fold) if pick is None else (starts[pick], fold[pick])
     if starts.size < 2 * TIME_FOLDS:
         raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
-    fold = time_folds(starts.size)
-    pick = None if most_samples == np.inf else leading_of_folds(fold, int(most_samples / len(places) / block))
-    starts, fold = (starts, fold) if pick is None else (starts[pick], fold[pick])
     stretches = joined_blocks(starts, block)
     motion = filtered.of_stretches(stretches, np.float32)
     P = len(places)

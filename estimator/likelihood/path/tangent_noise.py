@@ -38,9 +38,7 @@ def without_tangent_noise(gram: Gram, whitening: Whitening, uses: Sequence[Locat
     return out
 
 
-def _row_tangents(
-    gram: Gram, whitening: Whitening, uses: Sequence[LocatedLaw], i: int
-) -> tuple[list[int], Array]:
+def _row_tangents(gram: Gram, whitening: Whitening, uses: Sequence[LocatedLaw], i: int) -> tuple[list[int], Array]:
     """Rows of the Gram matrix of place i that laws act in, the residual force first, and their tangents (rows, n) along
     x; scaled."""
     data, rows, series = whitening.data, [0], []
