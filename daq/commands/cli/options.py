@@ -49,7 +49,7 @@ def of_a_part(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def with_options(**given: Any) -> None:
-        asked = [given.pop(name) for name in PART_OPTIONS]
+        asked = [given.pop(name, None) for name in PART_OPTIONS]
         command(part=Part.asked(*asked), **given)
 
     signature = inspect.signature(command, eval_str=True)

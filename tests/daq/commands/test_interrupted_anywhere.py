@@ -31,9 +31,11 @@ LINE_BY_LINE = (
 )
 PACKAGE = Path(unfinished.__file__).parents[2]
 COMMANDS: dict[str, Callable[[str], None]] = {
-    "import": lambda name: files.import_([Path("x.npz")], Path("rig.toml"), Path(f"{name}.mcap"), quiet=True),
-    "recover": lambda name: files.recover(Path("l.mcap"), Path(f"{name}.mcap"), quiet=True),
-    "export": lambda name: files.export(Path("l.mcap"), Path(f"{name}.npz"), quiet=True),
+    "import": lambda name: files.import_(
+        file=[Path("x.npz")], rig=Path("rig.toml"), out=Path(f"{name}.mcap"), quiet=True
+    ),
+    "recover": lambda name: files.recover(log=Path("l.mcap"), out=Path(f"{name}.mcap"), quiet=True),
+    "export": lambda name: files.export(log=Path("l.mcap"), to=Path(f"{name}.npz"), quiet=True),
 }
 
 
