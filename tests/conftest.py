@@ -26,6 +26,15 @@ def pytest_runtest_makereport(item, call):  # type: ignore[no-untyped-def]  # no
     return (yield)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """The row of a test that says what it promises; of one with parameters once."""
+    first = not any(getattr(getattr(item, "callspec", None), "indices", {}).values())
+    for mark in item.iter_markers("promise"):
+        row = ("reliability", " | ".join([*mark.args, "held"]))
+        if first and row not in item.user_properties:
+            item.user_properties.append(row)
+
+
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool:
     """A test in which a promise in seconds was not kept is tried again, from its fixtures on; no other is."""
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)

@@ -94,6 +94,7 @@ READABLE_FILES = {
 }
 
 
+@pytest.mark.promise("tables of others", "units of time, decimal commas, unit rows, encodings", "read as meant")
 @pytest.mark.parametrize("kind", READABLE_FILES)
 def test_a_table_is_read_as_it_is_meant(tmp_path: Path, kind: str) -> None:
     record = read(tmp_path, READABLE_FILES[kind])
@@ -118,6 +119,7 @@ def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
     assert read(tmp_path, head + table("%.6f", "\t", "X_Value,x,y")).started_ns == begun
 
 
+@pytest.mark.promise("doubtful tables", "`1,234`, decimal commas between commas and others", "refused with the line")
 @pytest.mark.parametrize(
     ("text", "rig", "said"),
     [

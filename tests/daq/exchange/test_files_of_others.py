@@ -74,6 +74,7 @@ TABLES: dict[str, tuple[str, Callable[[int], str], int | None]] = {
 }
 
 
+@pytest.mark.promise("days as times", "Excel, American dates", "read, with the date")
 @pytest.mark.parametrize("kind", TABLES)
 def test_times_of_spreadsheets(tmp_path: Path, kind: str) -> None:
     head, time, started_ns = TABLES[kind]
@@ -186,6 +187,9 @@ def uff(
     return path
 
 
+@pytest.mark.promise(
+    "universal files", "ms, uneven times, two rates, another abscissa", "read, or refused with the reason"
+)
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves its files open
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("binary", [0, 1])
@@ -204,6 +208,9 @@ def test_universal_files_with_times_of_their_own(tmp_path: Path, binary: int) ->
             read(refused)
 
 
+@pytest.mark.promise(
+    "units and rates beside samples", "arrays of structs, datenum", "converted; different rates refused"
+)
 def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
     import scipy.io
 
@@ -228,6 +235,7 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
     check(read(tmp_path / "d.mat", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(2,:)"')))
 
 
+@pytest.mark.promise("channels that begin at different times", "times and starts of their own", "refused")
 def test_channels_with_times_and_starts_of_their_own_are_refused(tmp_path: Path) -> None:
     import scipy.io
 

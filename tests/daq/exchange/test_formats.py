@@ -102,6 +102,7 @@ def test_channels_as_structs_with_data_in_them(tmp_path: Path) -> None:
     assert_read(read(mat(tmp_path, channels=several, Fs=RATE_HZ)))
 
 
+@pytest.mark.promise("a time vector beside a rate", "a hole, a contradiction", "refused")
 def test_a_time_vector_beside_a_rate_has_to_agree_with_it(tmp_path: Path) -> None:
     assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=TIME)))
     assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, t_ms=1e3 * TIME)))
@@ -144,6 +145,7 @@ def test_mf4_units_and_date(tmp_path: Path) -> None:
     assert read(mf4(tmp_path, [both()])).started_ns is None
 
 
+@pytest.mark.promise("an MF4 over an angle", "master of another kind than time", "refused")
 def test_mf4_over_an_angle_is_refused(tmp_path: Path) -> None:
     angle = [Signal(Y[:, 0], TIME, name="x", master_metadata=("Angle", 2)), Signal(Y[:, 1], TIME, name="y")]
     refused(mf4(tmp_path, [angle]), r'x was recorded over an angle \(master channel "Angle"\), not over time')
@@ -193,6 +195,7 @@ def uff(folder: Path, n: int, length: float | None, unit: str = "NONE", fill: st
     return folder / "a.uff"
 
 
+@pytest.mark.promise("units of dataset 164", "mm and N", "converted")
 def test_uff_filled_lines_units_and_date(tmp_path: Path) -> None:
     record = read(uff(tmp_path, 397, None))
     assert_read(record, Y[:397], atol=1e-4)

@@ -49,6 +49,7 @@ def test_a_recording_with_a_date_keeps_it(tmp_path: Path) -> None:
     assert unix_ns(log.metadata["imported"]) > START_NS
 
 
+@pytest.mark.promise("a record without a date", "import, info, export", "none says 1970 or today")
 def test_a_recording_without_a_date_says_so_and_is_not_of_1970(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", 0, Recorded(), notice_first=False)
     log = read_log(tmp_path / "a.mcap")
@@ -58,6 +59,7 @@ def test_a_recording_without_a_date_says_so_and_is_not_of_1970(tmp_path: Path) -
     assert min(stamps(log.path)) > START_NS
 
 
+@pytest.mark.promise("the date of a record", "import, replay, export", "survives")
 def test_the_date_survives_a_replay_and_its_absence_too(tmp_path: Path) -> None:
     for first_ns, started in ((START_NS, "2023-11-14T22:13:20.000000Z"), (0, None)):
         write(tmp_path / "a.mcap", first_ns, Recorded())

@@ -71,6 +71,7 @@ def test_candump_in_other_forms(form: str, tmp_path: Path) -> None:
     assert "capture_damaged" not in record.codes()
 
 
+@pytest.mark.promise("text of another encoding", "UTF-16, byte order marks", "every frame read")
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("suffix", [".log", ".asc"])
 def test_in_another_encoding(encoding: str, suffix: str, tmp_path: Path) -> None:
@@ -80,6 +81,7 @@ def test_in_another_encoding(encoding: str, suffix: str, tmp_path: Path) -> None
     assert not record.notices
 
 
+@pytest.mark.promise("stamps that are differences", "candump -td with a hole", "added up, the hole a gap, said")
 def test_a_hole_in_differences_is_a_hole(tmp_path: Path) -> None:
     lines = [f"(000.{0 if k == 0 else 510_000 if k == 60 else 10_000:06d}) can0 100#{k:02X}00" for k in K]
     record = read(tmp_path / "a.log", lines)
@@ -94,6 +96,11 @@ def test_times_that_rise_are_no_differences(steps_us: list[int]) -> None:
     assert not are_differences(stamps)
 
 
+@pytest.mark.promise(
+    "a recording of another kind",
+    "BusMaster, PCAN, candump without times",
+    "the true reason, and what to convert it to",
+)
 @pytest.mark.parametrize(
     ("lines", "text"),
     [
@@ -111,6 +118,11 @@ def test_what_it_is_and_what_to_do_is_said(lines: list[str], text: str, tmp_path
         read(tmp_path / "a.log", lines)
 
 
+@pytest.mark.promise(
+    "two buses in a recording",
+    "each frame on both, or two devices",
+    "refused with the choice; `?bus=` as the file counts",
+)
 def test_two_buses_are_refused_and_one_is_read(tmp_path: Path) -> None:
     both = [line for one in PLAIN for line in (one, one.replace("can0", "can1"))]
     choices = r"choose one: --link 'capture:.*\?bus=can0' or --link 'capture:.*\?bus=can1'$"
@@ -123,6 +135,7 @@ def test_two_buses_are_refused_and_one_is_read(tmp_path: Path) -> None:
     assert samples(read(tmp_path / "a.asc", lines, "1")).tolist() == list(K), "as the file counts them"
 
 
+@pytest.mark.promise("own echo in a recording", "T and R, Tx and Rx, TxRq", "each sample once, said")
 def test_an_echo_is_taken_once(tmp_path: Path) -> None:
     twice = [line for one in PLAIN for line in (one + " T", one.replace("0000) can0", "0200) can0") + " R")]
     record = read(tmp_path / "a.log", twice)
@@ -144,6 +157,7 @@ def test_asc_with_names_commas_and_times_before_the_trigger(tmp_path: Path) -> N
     assert record.codes() == {"symbolic_names"}
 
 
+@pytest.mark.promise("stamps that are differences", ".asc with relative times and other events", "added up")
 def test_asc_relative_times_add_up_over_other_events(tmp_path: Path) -> None:
     lines = [ASC[0], "base hex  timestamps relative", ASC[2], asc(0, 0)]
     for k in K[1:]:
@@ -151,6 +165,7 @@ def test_asc_relative_times_add_up_over_other_events(tmp_path: Path) -> None:
     assert [(gap.index, gap.count) for gap in read(tmp_path / "a.asc", lines).gaps] == [(60, 50)]
 
 
+@pytest.mark.promise("two trigger blocks in an .asc", "stamps begin again at 0", "placed by their dates, said")
 @pytest.mark.parametrize(("date", "lost"), [("Tue Nov 14 10:13:30.000 pm 2023", 940), ("somewhen", 99)])
 def test_a_trigger_block_that_begins_anew_is_placed_by_its_date(date: str, lost: int, tmp_path: Path) -> None:
     lines = [*ASC, f"Begin Triggerblock {ASC[0][5:]}", *(asc(0.01 * k, k) for k in K[:60]), "End TriggerBlock"]
@@ -190,6 +205,7 @@ def test_batches_hold_where_damage_was(tmp_path: Path) -> None:
     assert struct.unpack("<h", back.frames.payload[0, :2].tobytes()) == (5,)
 
 
+@pytest.mark.promise("error frames and remote requests", "between the frames of a candump log", "no samples, no losses")
 def test_error_frames_and_requests_are_no_samples(tmp_path: Path) -> None:
     stamp = [line.partition(" ")[0][:-4] + "3000)" for line in PLAIN]
     other = [f"{s} can0 {f}" for s in stamp[:3] for f in ("20000004#0000000000000000", "100#R4", "100#R")]

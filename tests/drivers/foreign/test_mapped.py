@@ -76,6 +76,7 @@ def test_j1939_from_any_source_address() -> None:
     assert np.allclose(values(record)[:, 1], -10.0)
 
 
+@pytest.mark.promise("a J1939 DBC", "known by BA_DEF_DEF_ alone", "codes from 0xFB.. are no values")
 def test_j1939_by_the_default_of_the_whole_file() -> None:
     """BA_DEF_DEF_ alone says the protocol."""
     default = b'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "%s";\n'
@@ -255,6 +256,7 @@ def run(
     return record
 
 
+@pytest.mark.promise("multiplexed signals", "nested, ranges, other pages between", "only the right page is a sample")
 def test_pages_of_nested_multiplexers_are_told_apart_and_others_are_no_losses() -> None:
     frames = []
     for k in range(60):
@@ -273,6 +275,7 @@ def test_a_signal_on_two_pages_and_one_on_every_page() -> None:
     assert np.allclose(values(run(frames, {"x": "Acc.X", "z": "Acc.Z"}))[-1], [0.59, -0.59])
 
 
+@pytest.mark.promise('codes for "not available"', "value tables, J1939", "missing, and said which")
 def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
     raw = [32767 if k == 20 else -32768 if k == 30 else 0 if k == 40 else k for k in range(60)]
     record = run([(769, struct.pack("<h", each), 10 * MS * k) for k, each in enumerate(raw)], {"s": "B.S"})
@@ -280,6 +283,7 @@ def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
     assert any("SNA" in notice.text for notice in record.notices)
 
 
+@pytest.mark.promise("wrong limits in a DBC", "[0,1] for a real signal", "kept, said")
 def test_values_beyond_untrue_limits_stay_and_its_extreme_codes_do_not() -> None:
     raw = [32767 if k == 20 else 10 * k for k in range(60)]
     record = run([(768, struct.pack("<h", each), 10 * MS * k) for k, each in enumerate(raw)], {"s": "A.S"})
@@ -287,6 +291,7 @@ def test_values_beyond_untrue_limits_stay_and_its_extreme_codes_do_not() -> None
     assert {"outside_limits", "no_value"} <= record.codes()
 
 
+@pytest.mark.promise("floats without a range", "metres to micrometres, Motorola and Intel", "full single precision")
 @pytest.mark.parametrize("size", [3e-9, 1.0, 40_000.0, 1e12])
 def test_a_float_keeps_its_precision_whatever_its_size(size: float) -> None:
     """Small at first: larger values than fit need larger steps, and are no gap."""
@@ -305,6 +310,7 @@ def test_a_float_keeps_its_precision_whatever_its_size(size: float) -> None:
     assert len(got) > 200
 
 
+@pytest.mark.promise("order of messages", "higher identifier first, frames lost", "one instant a sample, in any order")
 def test_frames_of_one_instant_are_one_row_in_any_order() -> None:
     names = {"a": "A.S", "b": "B.S"}
     frames = []
@@ -329,6 +335,7 @@ def test_rows_that_came_at_once_are_told_apart_by_order() -> None:
     assert (np.diff(values(record), axis=1) == 0).all()
 
 
+@pytest.mark.promise("messages of different rates or clocks", "twice as fast; 0.5 % apart", "refused; told")
 @pytest.mark.parametrize(
     ("ratio", "code", "fatal"), [(2.0, "unequal_rates", True), (1.005, "own_clocks", False), (1.0, "", False)]
 )
@@ -346,6 +353,9 @@ def test_a_slow_slip_is_told_later() -> None:
     assert "own_clocks" in run(sorted(a + b, key=lambda frame: frame[2]), {"a": "A.S", "b": "B.S"}).codes()
 
 
+@pytest.mark.promise(
+    "frames that outrun one source", "echo without marks, two devices of one identifier", "refused, told"
+)
 def test_an_echo_and_two_devices_of_one_identifier_are_found() -> None:
     for apart, same, code in ((MS // 5, True, "frames_twice"), (3 * MS, False, "interleaved")):
         frames = []
@@ -357,6 +367,11 @@ def test_an_echo_and_two_devices_of_one_identifier_are_found() -> None:
         assert [(each.code, each.fatal) for each in decoder.findings] == [(code, True)]
 
 
+@pytest.mark.promise(
+    "a device at another rate than the rig file says",
+    "102.4 for 100 Hz and others",
+    "its own rate used, said, no loss invented",
+)
 def test_a_device_at_another_rate_is_counted_at_its_own_and_told() -> None:
     for hz in (97.66, 102.4, 200.0):
         record = run([(768, struct.pack("<h", k), round(k * 1e9 / hz)) for k in range(400)], {"a": "A.S"})
@@ -365,6 +380,9 @@ def test_a_device_at_another_rate_is_counted_at_its_own_and_told() -> None:
         assert any(f"set acquisition.rate_hz = {hz:g}" in notice.text for notice in record.notices)
 
 
+@pytest.mark.promise(
+    "damaged frames of a device without a counter", "check sums wrong, lines cut", "the gap where they were"
+)
 def test_a_damaged_frame_leaves_its_gap_where_it_was() -> None:
     """Bursts of four frames with the time of their end: only the damaged line says which one is missing."""
     decoder = MappedDecoder(LinkStats(), NESTED, {"a": "A.S"}, Expected(100.0))

@@ -44,6 +44,7 @@ def run(layout: str, said_hz: float, rig_hz: float | None, frames: int = 400) ->
     return record
 
 
+@pytest.mark.promise("a device that states an absurd rate", "1e7, 1e-300, 25.6 for 25600 Hz", "the true one used, said")
 @pytest.mark.parametrize("layout", ["fd16", "fd24", "serial16", "serial24"])
 @pytest.mark.parametrize("said_hz", [1e7, 1e-300, 2.56, 5120.0])
 @pytest.mark.parametrize("rig_hz", [2560.0, 2559.9])

@@ -56,6 +56,9 @@ def columns(path: Path) -> list[np.ndarray]:
         return [file.get(n).samples for n in names]
 
 
+@pytest.mark.promise(
+    "names that collide in an export", "equal, `rate_hz`, dots and underscores", "every channel there, said"
+)
 @pytest.mark.parametrize("ending", ["npz", "mat", "csv", "mf4"])
 def test_channels_whose_names_are_taken_are_all_there(
     tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
@@ -101,6 +104,7 @@ def test_a_log_without_its_rig_file_says_its_units(tmp_path: Path, capsys: pytes
     assert list(np.load(tmp_path / "b.npz")["units"]) == ["g"]
 
 
+@pytest.mark.promise("a link at a temporary name", "beside the export", "not followed")
 @pytest.mark.parametrize("ending", ["csv", "npz"])
 def test_no_link_beside_it_leads_an_export_elsewhere(tmp_path: Path, ending: str) -> None:
     log, precious = write(tmp_path), tmp_path / "precious.txt"

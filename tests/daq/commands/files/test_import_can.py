@@ -43,6 +43,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.promise("two buses in an import", "the offered command is typed", "it reads the right bus")
 def test_of_two_buses_the_command_that_is_offered_works(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = []
     for k in range(400):

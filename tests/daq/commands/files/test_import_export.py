@@ -284,6 +284,7 @@ def test_a_unit_in_the_file_is_converted_and_that_is_said(folder: Path, capsys: 
     assert 'b1x is in "V" there; say what its sensor gives, in the rig file: sensitivity = ' in said
 
 
+@pytest.mark.promise("volts, and names of others", "`sensitivity`, `offset`, `alias` of the rig file", "converted")
 def test_volts_and_names_of_others_by_the_rig_file(folder: Path) -> None:
     more = 'unit = "m/s^2"\nsensitivity = { value = 10.0, unit = "mV/(m/s^2)" }\nalias = "Ch 2, top"\noffset = 3.0'
     (folder / "rig.toml").write_text(RIG.replace('unit = "m/s^2"', more))
@@ -293,6 +294,7 @@ def test_volts_and_names_of_others_by_the_rig_file(folder: Path) -> None:
     np.testing.assert_allclose(read_log(folder / "log.mcap").samples()[:, 1], y[:, 1] / 10 - 3.0, atol=1e-6)
 
 
+@pytest.mark.promise("9.9e37 and one huge value", "in a column", "refused with the row")
 def test_a_value_that_stands_for_none_is_refused_and_a_huge_one_too(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -158,6 +158,9 @@ def test_a_part_of_recorded_can_traffic(folder: Path, capsys: pytest.CaptureFixt
     assert "is 10 s long" in capsys.readouterr().err
 
 
+@pytest.mark.promise(
+    "a part that is none", "empty, behind the end, unknown channel", "one line, with the length or the names"
+)
 @pytest.mark.parametrize(
     ("command", "status", "why"),
     [
