@@ -36,6 +36,8 @@ class Finding:
         Coordinate of the comparison's map: "frequency", "shaft_angle", "other_bearing" or "level".
     region : str
         Where along that coordinate, in words.
+    explained_share : float
+        Of the misfit of the spectrum beyond chance, in nats; 0 where no spectrum is judged.
     settings : dict of str to dict of str to Parameter
         Parameters by canonical location and name; empty where the effect has none.
     note : str
@@ -52,6 +54,7 @@ class Finding:
     power_N2: dict[int, float]
     against: str
     region: str
+    explained_share: float = 0.0
     settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)
     note: str = ""
     detectable: tuple[float, str] | None = None

@@ -56,7 +56,7 @@ def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
     sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
     found = []
     for place, channels in sound.items():
-        reason = bearing_mode(layers.structure, place)
+        reason = bearing_mode(layers.structure, place, mass_known=model.cap_mass(place) is not None)
         if isinstance(reason, str):
             own = RecordFinding(
                 code=NO_BEARING_MODE, channels=channels, text=reason, places=(place,), condemned=channels

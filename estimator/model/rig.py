@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
+from .background import Background
 from .effect import Effect
 from .recorder import AntiAlias
 
@@ -200,6 +201,8 @@ class Model:
         Narrow lines found in the record, which are left out of the force balance.
     record_lines : tuple of LineBand or None
         All narrow lines that a survey found in the record; None: a fit looks for them.
+    background : Background or None
+        Structural modes and spectra of the excitation found in the record. None: no modes, a white force.
     name : str
         Of the rig, for the user.
     anti_alias : AntiAlias or None
@@ -221,6 +224,7 @@ class Model:
     candidates: tuple[EffectUse, ...] = ()
     line_bands: tuple[LineBand, ...] = ()
     record_lines: tuple[LineBand, ...] | None = None
+    background: Background | None = None
     name: str = ""
     anti_alias: AntiAlias | None = None
 

@@ -43,6 +43,8 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     distribution functions of displacement (Kolmogorov), 0 to 1. A model that cannot be simulated gives no numbers.
     """
     data = point.data
+    if data.background is not None:
+        return Twin(message="no simulated twin: the record has structural modes that no simulation has")
     try:
         if data.measured_force:
             y = _driven(model, record, data.rate_hz)

@@ -16,7 +16,6 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit, is_disturbance
 from estimator.identification.residual import missing_force
-from estimator.identification.structure import spectral_shape
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -126,15 +125,6 @@ def judge_bearing(
     found = rank_on_part(model, survey, say)
     if survey.adequate:
         return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
-    likeliest = max((entry.gain for entry in found.entries), default=0.0)
-    if (
-        survey.missing.disturbances
-        and (seen := spectral_shape.refit_with_seen_spectra(model, point, likeliest)) is not None
-    ):
-        point, shares = seen, survey.missing.disturbances
-        survey = survey_bearing(model, point, y)[0]
-        survey = replace(survey, missing=replace(survey.missing, disturbances=shares))
-        found = rank_on_part(model, survey, say)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
@@ -235,7 +225,7 @@ def _leaves_message(entry: Entry) -> Message:
 
 def _without_disturbances(model: Model) -> Model:
     """The model with the laws of its states only."""
-    return replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)))
+    return replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)), background=None)
 
 
 def _of_mistake(mistake: Mistake, model: Model, survey: BearingSurvey, entries: list[Entry]) -> BearingJudgement:

@@ -24,7 +24,13 @@ from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
-from .signal_findings import line_entries, shaft_entries, strike_entries, whole_order_messages
+from .signal_findings import (
+    line_entries,
+    shaft_entries,
+    strike_entries,
+    tones_of_surroundings,
+    whole_order_messages,
+)
 
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
 MAX_MESSAGES = 10  # more are not read
@@ -131,7 +137,8 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
     try:
         usable = judgeable_record(model, y, layers)
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
-        found = judge_bearing(whole.model, whole.point, usable.y, say)
+        surroundings = tones_of_surroundings(layers.record, layers.machine)
+        found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
         found = replace(found, messages=(*found.messages, *whole.messages))
     except DataError as problem:
         found = BearingJudgement.not_judged(str(problem))

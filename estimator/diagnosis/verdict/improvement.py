@@ -26,6 +26,7 @@ from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
 from .bearing import BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
+from .signal_findings import tones_of_surroundings
 
 Progress = Callable[[float, str], None]
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
@@ -121,7 +122,8 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     """
     layers = survey_layers(model, y, rate_hz)
     usable = judgeable_record(model, y, layers)
-    found = improvement(usable.model, usable.y, rate_hz, progress or quiet)
+    surroundings = tones_of_surroundings(layers.record, layers.machine)
+    found = improvement(usable.model, usable.y, rate_hz, progress or quiet, refused=surroundings)
     known = [use for use in model.effects if found_by(use.name) == "samples"]
     rungs = [replace(r, effects=(*r.effects, *(use.name for use in known))) for r in found.rungs]
     named = with_clipped_channels(found.last, model, y, layers.record)
@@ -144,7 +146,7 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 
 def improvement(
     model: Model, y: Array, rate_hz: float, say: Progress = quiet, *,
-    diagnose: Callable[..., BearingJudgement] = judge_bearing,
+    diagnose: Callable[..., BearingJudgement] = judge_bearing, refused: frozenset[str] = frozenset(),
 ) -> Improvement:  # fmt: skip
     """Diagnose, add, fit again, until the diagnosis names nothing that can be added.
 
@@ -152,11 +154,11 @@ def improvement(
     every earlier one is tested for removal.
 
     diagnose : from the fitted model, its working point, the samples, the progress, the effects refused, the survey.
+    refused : effects that are not added.
     """
     ladder = _Ladder(model, y, rate_hz, fit_all_effects(model, y, rate_hz))
     messages: list[Message] = []
     diagnoses: list[BearingJudgement] = []
-    refused: frozenset[str] = frozenset()
     while True:
         step = len(diagnoses)
         whole = ladder.whole

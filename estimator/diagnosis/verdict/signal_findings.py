@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.effects import LINE_NAMES
 from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
@@ -15,6 +16,7 @@ from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.machine import MachineSurvey, StrikeTrain, Tone
 from estimator.identification.record import RecordSurvey
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message, Parameter
 
@@ -44,6 +46,8 @@ class Thresholds:
         2X comparable with 1X; three quarters in common charts).
     min_line_power_share : float
         Share of the power of a channel that one line holds. A tenth: a line 10 dB below the level adds 0.5 dB to it.
+    min_unexplained_power_share : float
+        The same of a line that is no multiple of shaft or mains: 20 dB below the level.
     whole_order_tolerance : float
         Distance of a strike order from a whole number, in shaft orders.
     """
@@ -53,6 +57,7 @@ class Thresholds:
     min_dominance: float = 0.5
     min_second_harmonic_ratio: float = 0.75
     min_line_power_share: float = 0.1
+    min_unexplained_power_share: float = 0.01
     whole_order_tolerance: float = 0.02
 
 
@@ -131,6 +136,27 @@ def line_entries(
         parameters = {f"{place}.{LINE.name}.frequency": Parameter(tone.frequency_hz, None, "Hz")}
         out.append(_entry(LINE.name, place, tone.p_value, parameters))
     return out
+
+
+def tones_of_surroundings(
+    record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
+) -> frozenset[str]:
+    """Periodic forces that are not named beside an adequate model, as tones of the surroundings are in the record.
+
+    Lines of the mains show that a record holds tones of its surroundings. A weak 1X or 2X is one of them: imbalance and
+    misalignment are named by their severity alone. A line is named where one has no cause and a share of the power.
+    """
+    if all(tone.kind != "mains" for tone in machine.tones):
+        return frozenset()
+    unexplained = any(
+        amplitude**2 / 2.0 >= limits.min_unexplained_power_share * rms**2
+        for tone in machine.tones
+        if tone.kind == "other"
+        for name, amplitude in tone.amplitude.items()
+        if name in record.channels and (rms := record.channels[name].rms)
+    )
+    lines = frozenset(LINE_NAMES)
+    return frozenset(PERIODIC_EFFECTS) - {LOCAL_DEFECT.name} - (lines if unexplained else frozenset())
 
 
 def whole_order_messages(machine: MachineSurvey) -> Iterator[Message]:

@@ -15,7 +15,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
-from estimator.errors import DataError
+from estimator.errors import DataError, NotFiniteError
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.search import search
@@ -25,6 +25,7 @@ from estimator.identification.structure import (
     transfer_bias,
     upper_edge,
 )
+from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.fitted_values import Estimate, fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
@@ -54,6 +55,7 @@ SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     if e.found_by in ("spectrum", "coherence", "samples") and e.kind != "memory" and not e.flat_magnitude
 )
 MAX_TANGENT_SD_REL = 0.1  # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
+MIN_TOLD_SWING_DB = 1.0  # of the spectrum of the force along the band: instruments have +-10 %
 RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 
 
@@ -127,6 +129,9 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     given = with_lines_left_out(with_measured_speed(model, y, rate_hz), y, rate_hz)
     model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
     full = _fit_with_stiffness_order(model, y, rate_hz)
+    background = find_background(full.model, full.point)
+    if background is not None and not background.agrees_with(model.background):
+        full = _with_background(full, replace(model, background=background), y, rate_hz)
     _refuse_without_resonance(full.point)
     data = full.point.data
     notes = (
@@ -135,6 +140,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *unknown_mass.ratio_messages(full.model, full.point),
         *upper_edge.upper_edge_messages(full.model, full.point),
         *excitation_level.uneven_message(data.level),
+        *_background_messages(full.model),
         *unmeasured_end.unmeasured_end_messages(
             full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))
         ),
@@ -142,6 +148,30 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *shaft_law.comb_message(data, [use.effect for use in full.point.placed]),
     )
     return replace(full, messages=(*notes, *full.messages), masses=masses)
+
+
+def _with_background(full: FullFit, model: Model, y: Array, rate_hz: float) -> FullFit:
+    """The fit of a model with a background; the fit without it where the other one does not come to rest."""
+    try:
+        return _fit_with_stiffness_order(model, y, rate_hz)
+    except (np.linalg.LinAlgError, NotFiniteError):
+        return full
+
+
+def _background_messages(model: Model) -> tuple[Message, ...]:
+    """Remarks on structural modes and on a force that is not white, both part of the fit."""
+    at = {} if model.background is None else model.background.at
+    modes = {place: ", ".join(f"{m.frequency_hz:.0f}" for m in own.modes) for place, own in at.items() if own.modes}
+    swing = {place: 10.0 * float(np.log10(own.psd_rel.max() / own.psd_rel.min())) for place, own in at.items()}
+    uneven = {place: db for place, db in swing.items() if db > MIN_TOLD_SWING_DB}
+    out = []
+    if modes:
+        listed = "; ".join(f"{place} {hz} Hz" for place, hz in modes.items())
+        out.append(Message("structural_modes", f"structural modes beside the bearings are part of the fit: {listed}"))
+    if uneven:
+        listed = ", ".join(f"{place} by {db:.0f} dB" for place, db in uneven.items())
+        out.append(Message("force_not_white", f"the force is not white, its spectrum varies along the band: {listed}"))
+    return tuple(out)
 
 
 def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:

@@ -15,8 +15,7 @@ from scipy.special import chdtrc
 from estimator.arrays import Array
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
-from estimator.identification.finding import UNKNOWN_EFFECT, Finding
-from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.identification.finding import UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.path.sensor_noise import force_correlation
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -30,8 +29,8 @@ from .spectral_models import base_model, fit_base_model, fit_shape, is_peakless,
 
 MAX_SHAPE_P_VALUE = 1e-3
 MIN_DEPTH_RMS = 0.015  # of ln(power / model): errors of filters and integrators are smaller
+EXPLAINED_SHARE = 0.95  # of the misfit beyond chance, for a cause that leaves nothing to be explained
 MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance, for a cause
-SPECTRUM_ROUNDS = 2  # of the measured spectrum and the model fitted with it
 SHAPE_TOLERANCE_REL = 1e-6  # of a spectral shape of the model from flat
 NEGATIVE_MARGIN_SD = 3.0  # below zero, of a stiffness or damping that no bearing has
 MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
@@ -59,7 +58,8 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < MIN_DEPTH_RMS:
+        least = MIN_UNKNOWN_DEPTH_RMS if data.background is not None else MIN_DEPTH_RMS
+        if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < least:
             white.append((i, c, level, u, scale))
             continue
         shaped.add(i)
@@ -70,26 +70,15 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     return out + _find_shared_force(model, point)
 
 
-def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
-    """The point refitted with the measured spectra of locations whose spectral shape has no cause in the catalogue.
-
-    law : nats of the best law on trial. The result is None if there is no such location, or if the shape gains less
-    than the law: a missing law shapes spectra too. If a shaped force is taken as white, the likelihood allows for too
-    much or too little of the motion near the resonance, which a law can then explain.
-    """
-    bent = [s for s in find_spectral_shapes(model, point) if s.effect == UNKNOWN_EFFECT]
-    if sum(s.gain_nats for s in bent) <= law:
-        return None
-    places = {point.data.places.index(s.at[0]) for s in bent}
-    for _ in range(SPECTRUM_ROUNDS):
-        colour = point.data.excitation_shape.copy()
-        for i in places:
-            c = cells_of(point, i)
-            more = c.power / base_model(c, fit_base_model(point, i, c)[1])
-            colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
-            colour[i] /= colour[i].mean()
-        point = fit_model(replace(point.data, excitation_shape=colour), list(point.placed), start=point)
-    return point
+def one_cause_explains(model: Model, point: WorkingPoint) -> bool:
+    """Whether one cause of the catalogue explains the spectral shapes of all locations that have one."""
+    found = find_spectral_shapes(model, point)
+    shaped = {place for f in found for place in f.power_N2 if is_cause_of_spectrum(f.effect)}
+    for effect in {f.effect for f in found}:
+        explained = {p for f in found if f.effect == effect and f.explained_share > EXPLAINED_SHARE for p in f.power_N2}
+        if explained and explained >= shaped:
+            return True
+    return False
 
 
 def _same_cause_elsewhere(
@@ -159,6 +148,7 @@ def _shape_findings(
                 power_N2={i: predictable},
                 against="frequency",
                 region=_misfit_region(c, r),
+                explained_share=gain / max(-level - 0.5 * (c.n.size - 4), 1.0),
                 settings={place: settings},
                 note=_roll_off_note(shape.effect, values, data.band[1]),
             )

@@ -66,6 +66,12 @@ def fitted_estimates(point: WorkingPoint) -> dict[str, Estimate]:
     spread = np.sqrt(np.diag(joint_covariance(point)))
     sd = dict(zip(point.fit.names, spread[:k] * point.fit.scales, strict=True))
     values: dict[str, tuple[float, str]] = {}
+    background = {} if point.data.background is None else point.data.background.at
+    for place, own in background.items():
+        i = places.index(place)
+        for key, value, more in (("kL", point.kL[i], own.stiffness_sd_rel), ("c", point.c[i], own.damping_sd_rel)):
+            name = f"{place}.{key}"
+            sd |= {name: float(np.hypot(sd[name], more * value))} if name in sd else {}
     for i, place in enumerate(places):
         linear = {"kL": (point.kL[i], "N/m"), "c": (point.c[i], "N s/m"), "m": (point.data.mass[i], "kg")}
         values |= {f"{place}.{key}": z for key, z in linear.items()}

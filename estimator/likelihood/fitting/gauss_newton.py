@@ -155,6 +155,8 @@ def _first_linear_values(
                 known = known + law_along_record(use, data, i, lin)[0]
         force, x, v = (_start_spectrum(data, z) for z in (known, data.x[i], data.v[i]))
         kL[i] = data.held.get(f"{place}.kL", -np.vdot(x, force).real / np.vdot(x, x).real)
+        if data.background is not None and place in data.background.at:
+            kL[i] = data.background.at[place].stiffness
         force += kL[i] * x
         if data.measured_force_psd[i] > 0.0:
             damping = np.array([-np.vdot(v, force).real / np.vdot(v, v).real])

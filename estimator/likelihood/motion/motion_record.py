@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
+from estimator.model.background import Background
 from estimator.model.disc import Disc
 from estimator.model.rig import LineBand
 from estimator.signals.band_limit import noise_shape
@@ -62,6 +63,7 @@ class MotionRecord:
     held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
     free_inertia : by index of a place whose mass is fitted, (n,) m/s^2 band-limited acceleration.
     residual_is_noise : whether the force is measured at every place and the residual force is noise of the sensors.
+    background : structural modes at the bearing caps; x and v are the deflection of the bearing where a support moves.
     """
 
     places: tuple[str, ...]
@@ -99,6 +101,7 @@ class MotionRecord:
     held: Mapping[str, float] = field(default_factory=dict)
     free_inertia: Mapping[int, Series] = field(default_factory=dict)
     residual_is_noise: bool = False
+    background: Background | None = None
 
     @property
     def measured_force(self) -> bool:

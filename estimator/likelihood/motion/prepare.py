@@ -12,6 +12,7 @@ from estimator.arrays import Array, Series, real_samples, return_freed_memory
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
+from estimator.model.background import Background
 from estimator.model.disc import disc_of
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
@@ -25,6 +26,7 @@ from .checks import check_moves
 from .force_balance import motion_channels, shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
+from .linear_memory import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
@@ -103,9 +105,10 @@ def motion_record(
         known[i] -= force
         driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
     rms = np.array([map_threads(np.std, z) for z in (x, v, a[:P])])
-    periodic = periodic_series(model, places, t, phase, rate_hz)
-    if periodic is not None:
+    if (periodic := periodic_series(model, places, t, phase, rate_hz)) is not None:
         known -= periodic
+    if model.background is not None:
+        _bring_in_background(model.background, places, (x, v, known), _rows_of(stretches), rate_hz)
     bins = fitted_bins(model, rate_hz, block)
     _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
@@ -118,7 +121,7 @@ def motion_record(
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
         lines=tuple(b for b in model.line_bands if model.band[0] < b.centre_hz < model.band[1]),
         held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},
-        **_spectra_of_model(model, f),
+        background=model.background, **_spectra_of_model(model, f),
     )  # fmt: skip
 
 
@@ -150,9 +153,13 @@ def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) ->
 def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
     """The fields of a record that the model gives by frequency."""
     places = model.places
+    shaft, shapes = shaft_response(model, places, f_hz), excitation_shapes(model, places, f_hz, FORCE_SHAPES)
+    if model.background is not None:
+        np.einsum("fii->fi", shaft)[...] += model.background.attached_stiffness(places, 2j * np.pi * f_hz)
+        shapes = shapes * model.background.force_shapes(places, f_hz)
     return {
-        "shaft": shaft_response(model, places, f_hz),
-        "excitation_shape": excitation_shapes(model, places, f_hz, FORCE_SHAPES),
+        "shaft": shaft,
+        "excitation_shape": shapes,
         "undone_noise_gain": undone_noise_gain(model, places, f_hz),
     }
 
@@ -222,6 +229,33 @@ def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Serie
                 known[i] += model.shaft_stiffness * x[i]
                 known[i] += model.shaft_damping * v[i]
     return known
+
+
+def _rows_of(stretches: list[slice]) -> list[slice]:
+    """Rows of stretches of a record laid end to end."""
+    ends = np.cumsum([part.stop - part.start for part in stretches]).tolist()
+    return [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
+
+
+def _bring_in_background(
+    background: Background, places: tuple[str, ...], series: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+    rows_of_stretches: list[slice], rate_hz: float,
+) -> None:  # fmt: skip
+    """Turn the motion of the caps into the deflection of the bearings, and add the force of parts on the caps.
+
+    series : displacement and velocity of the caps, and known force, (places, n), changed in place. rows_of_stretches :
+    rows that follow one another.
+    """
+    x, v, known = series
+    for i, place in enumerate(places):
+        if (own := background.at.get(place)) is None:
+            continue
+        for rows in rows_of_stretches:
+            if any(m.form == "attached" for m in own.modes):
+                known[i, rows] += filtered_series(lambda w: own.attached_stiffness(1j * w), x[i, rows], rate_hz)
+            if any(m.form == "support" for m in own.modes):
+                for z in (x, v):
+                    z[i, rows] = filtered_series(lambda w: own.deflection(1j * w), z[i, rows], rate_hz)
 
 
 def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Series:

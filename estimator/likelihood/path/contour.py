@@ -21,10 +21,13 @@ and both are exact. The stiffness of all else is taken to be the same at s and i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
+from estimator.model.background import Background
 from estimator.model.disc import Disc
 
 MARGIN_BINS = 1.0  # least distance of a mode from the line, spacings of the bins: the error is exp(-2 pi)
@@ -107,14 +110,25 @@ def slowest_modes(
 
 
 def continued_tangent(
-    s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
+    s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = (),
+    background: Background | None = None,
 ) -> Complexes:  # fmt: skip
     """(bins, places, places) kg: A at s (bins,), from A at i Im s. D : mean tangents as in `contour`."""
     if not s.real.any():
         return A
     iw, s1 = 1j * s.imag[:, None, None], s[:, None, None]
-    rest = A - np.diag(mass) - D[..., 1] / iw
-    out = np.diag(mass) + rest * (iw / s1) ** 2 + D[..., 1] / s1
+
+    def bearings(s: NDArray[Any]) -> Complexes:
+        made = np.asarray(D[..., 0] + s[:, None, None] * D[..., 1], np.complex128)
+        if background is None:
+            return made
+        made = made * background.deflections(places, s)[:, None, :]
+        np.einsum("fii->fi", made)[...] += background.attached_stiffness(places, s)
+        return np.asarray(made)
+
+    there, here = bearings(s), bearings(1j * s.imag)
+    moved = (there - here) / s1**2
+    out = np.diag(mass) + (A - np.diag(mass)) * (iw / s1) ** 2 + moved
     if disc is not None:
         out += (disc.at_caps(places, s / 1j) - disc.at_caps(places, s.imag)) / s1**2
     return np.asarray(out)

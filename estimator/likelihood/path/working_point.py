@@ -33,7 +33,7 @@ from .contour import continued_tangent, contour
 from .determinant import Jacobian
 from .noise_bias import NoiseBias
 from .path_fit import Gram, PathFit, fit_increments, gram_matrices
-from .sensor_noise import force_correlation, referred_noise
+from .sensor_noise import SensorNoise, force_correlation, referred_noise
 from .tangent_noise import without_tangent_noise
 from .whitening import Spectrum, WhitenedRegressors, Whitening
 
@@ -160,7 +160,10 @@ def _forces(
 
     map_threads(add, range(P))
     w = 2 * np.pi * data.f_hz[:, None, None]
-    return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
+    if data.background is None:
+        return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
+    bearings = (M + D[..., 0] + 1j * w * D[..., 1]) * data.background.deflections(data.places, 1j * w[:, 0, 0])[:, None]
+    return F, np.diag(data.mass)[None] - (data.shaft + bearings) / w**2, D
 
 
 def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> Complexes:
@@ -186,10 +189,10 @@ def point_at(
     s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
     def along_line(A: Complexes) -> Complexes:
-        return continued_tangent(s, A, data.mass, D, data.disc, data.places)
+        return continued_tangent(s, A, data.mass, D, data.disc, data.places, data.background)
 
     noise = referred_noise(data, A, nu, S)
-    whitening = Whitening(data=data, noise=noise, s=s, measured=noise.to_measured(along_line(A)))
+    whitening = Whitening(data=data, noise=noise, s=s, measured=_to_measured(data, noise, along_line(A), s))
     spectra = dict(enumerate(map_threads(lambda i: whitening.spectrum(i, F[i]), range(P))))
     mean = _modal_responses(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
@@ -245,6 +248,18 @@ def _noise_bias(whitening: Whitening, A: Complexes, nu: Array, S: Array) -> Jaco
     noise = whitening.data.noise_shape * (nu * S)[:, None]
     kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
     return NoiseBias(A, whitening.s, noise=noise, per_psd=whitening.weight / S[:, None], kept=kept)
+
+
+def _to_measured(data: MotionRecord, noise: SensorNoise, A: Complexes, s: Complexes) -> Complexes | None:
+    """(bins, places, places) factor from a response to the deflection of the bearings to one to the measured motion.
+
+    A : along the line s (bins,) of the determinant. None where the two responses are the same.
+    """
+    factor = noise.to_measured(A)
+    if data.background is None:
+        return factor
+    deflection = data.background.deflections(data.places, s)[:, :, None]
+    return np.asarray(deflection * (np.eye(len(data.places)) if factor is None else factor))
 
 
 def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | None]) -> Complexes:

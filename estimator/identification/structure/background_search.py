@@ -1,0 +1,301 @@
+"""Search for the background of the bearings: structural modes and smooth spectra of the force that a record shows.
+
+Modes are added one at a time where the score is largest, and knots of the spectrum of the force, as long as they gain.
+What kL and c lose in certainty by the background is part of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.background import Background, BearingBackground, ModeForm, StructuralMode
+from estimator.model.rig import Model
+
+from .cross_spectra import cross_spectra
+from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, products
+from .spectral_shape import one_cause_explains
+
+MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
+MIN_MISFIT = 0.1  # rms of ln(measured / model), without a background: laws that a model lacks shape spectra by less
+MAX_MISFIT = 0.23  # rms of ln(measured / model) with a background, 1 dB: instruments have +-10 % (ISO 2954)
+MAX_MODES_PER_CAP = 6
+KNOT_OCTAVES = (2.0, 1.0)  # distances of the knots of the spectrum of the force, tried in turn
+MIN_KNOT_WIDTHS = 4.0  # the same in half-power widths of the bearing's resonance: no bend within it
+SCANNED_PER_OCTAVE = 40
+SCANNED_DAMPING = (0.006, 0.02, 0.06)
+PROPOSAL_COUNT = 4  # fitted at each step
+BEST_SCORES = 60  # of a form at a cap, among which the proposals are
+SAME_FREQUENCY_LN = 0.1  # proposals nearer than this are one
+SURE_MASS_SD = 0.1  # of ln(mass): a mode as sure is worth some 50 nats
+TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0
+START_NOISE_REL = 1e-4  # of the least PSD
+SHAPE_KNOTS = 64  # of the spectrum of the force in the result
+
+
+def find_background(model: Model, point: WorkingPoint) -> Background | None:
+    """The background that a record shows beside a fitted model; None where the model explains the spectra.
+
+    A measured force has the spectrum that it has, and its path shows the structure: no background is sought there.
+
+    Parameters
+    ----------
+    model : Model
+        The rig, with the background that the working point has.
+    point : WorkingPoint
+        The fitted model.
+    """
+    data = point.data
+    if data.measured_force or not np.all(point.kL > 0.0):
+        return None
+    if model.background is None and one_cause_explains(model, point):
+        return None
+    at: dict[str, BearingBackground] = {}
+    for direction in dict.fromkeys(place[-1] for place in data.places):
+        places = tuple(i for i, place in enumerate(data.places) if place.endswith(direction))
+        at |= _of_direction(model, point, places)
+    return Background(at=at) if at else None
+
+
+def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> dict[str, BearingBackground]:
+    """The background of the caps of one direction, by place; empty where the model explains their spectra."""
+    problem = _problem(model, point, places)
+    least = MIN_GAIN_NATS * _dispersion(point)
+    try:
+        if (known := _known(model, point, problem)) is None:
+            found = first = problem.maximised(_start(problem, point))
+        else:
+            problem, found = known
+            first, found = None, _pruned(problem, found, least)
+        if float(problem.misfit(found).max()) >= MIN_MISFIT:
+            problem, found = _search(problem, found, least)
+    except np.linalg.LinAlgError:
+        return {}
+    if first is not None and found.log_likelihood - first.log_likelihood < least:
+        return {}
+    if float(problem.misfit(found).max()) > MAX_MISFIT:
+        return {}
+    return dict(_result(problem, found, point, places))
+
+
+def _problem(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> JointSpectrum:
+    """The spectral problem of the caps of one direction at the mean tangents of a working point."""
+    data, own = point.data, list(places)
+    spectra = cross_spectra(data, places)
+    s = 2j * np.pi * spectra.f_hz
+    D = point.mean_tangent[own][:, own]
+    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own]
+    caps = np.arange(len(own))
+    Z0 = shaft + D[..., 0] + s[:, None, None] * D[..., 1]
+    Z0[:, caps, caps] = shaft[:, caps, caps] + np.outer(s * s, data.mass[own])
+    laws = _law_response(point, spectra.f_hz)[:, own]
+    shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
+    return JointSpectrum(
+        spectra=spectra, Z0=Z0, laws=laws, mass=data.mass[own], shape=shape, damping0=np.log(_sound_damping(point)[own])
+    )  # fmt: skip
+
+
+def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
+    """(f, places) N/m, mean response of the laws at each place to the deflection of its bearing, without kL and c."""
+    data, s = point.data, 2j * np.pi * point.data.f_hz
+    total = -(s * s)[:, None] * (data.mass - np.einsum("fii->fi", point.A)) - np.einsum("fii->fi", data.shaft)
+    if data.background is not None:
+        total = total / data.background.deflections(data.places, s)
+    laws = (total - point.kL - s[:, None] * point.c).T
+    return np.array([np.interp(f_hz, data.f_hz, z.real) + 1j * np.interp(f_hz, data.f_hz, z.imag) for z in laws]).T
+
+
+def _sound_damping(point: WorkingPoint) -> Array:
+    """(places,) N s/m, damping of the fit, at least 0.1 % of critical."""
+    return np.maximum(point.c, 2e-3 * np.sqrt(point.kL * point.data.mass))
+
+
+def _start(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
+    """Values of the fitted model."""
+    own = list(problem.spectra.places)
+    least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
+    return JointValues(
+        force=np.log(point.S[own])[:, None] * np.ones((1, problem.basis.shape[1])),
+        noise=np.log(np.maximum((point.nu * point.S)[own], least)),
+        stiffness=np.log(point.kL[own]),
+        damping=problem.damping0.copy(),
+    )
+
+
+def _known(
+    model: Model, point: WorkingPoint, problem: JointSpectrum
+) -> tuple[JointSpectrum, JointPoint] | None:  # fmt: skip
+    """The problem and its point with the background that the model has already; None where it has none."""
+    own = {c: point.data.places[i] for c, i in enumerate(problem.spectra.places)}
+    there = {} if model.background is None else {c: b for c, p in own.items() if (b := model.background.at.get(p))}
+    if not there:
+        return None
+    problem = problem.with_octaves(min(b.knot_octaves for b in there.values()))
+    values = _start(problem, point)
+    for cap, background in there.items():
+        ln_psd = np.log(background.force_shape(problem.spectra.f_hz))
+        values.force[cap] += np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0]
+        for m in background.modes:
+            q = np.log([m.frequency_hz, m.damping, m.mass / problem.mass[cap]])
+            values = values.with_mode(ModePlace(cap, m.form), q)
+    return problem, problem.maximised(values)
+
+
+def _search(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
+    """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out."""
+    octaves = [o for o in KNOT_OCTAVES if _least_octaves(problem, point) <= o < problem.octaves]
+    while len(point.values.modes) < MAX_MODES_PER_CAP * problem.mass.size:
+        tried = list(_tried_modes(problem, point))
+        if octaves:
+            finer = problem.with_octaves(octaves[0])
+            tried.append((finer, _tried(finer, finer.respaced(point.values, problem))))
+        there, best = max(tried, key=lambda one: one[1].log_likelihood, default=(problem, point))
+        best = there.maximised(best.values)
+        if best.log_likelihood - point.log_likelihood < least:
+            break
+        octaves = octaves if there is problem else octaves[1:]
+        problem, point = there, best
+    return problem, _pruned(problem, _in_likelier_forms(problem, point), least)
+
+
+def _in_likelier_forms(problem: JointSpectrum, point: JointPoint) -> JointPoint:
+    """The point with each mode under the bearing or on the cap, whichever is likelier.
+
+    Both forms have the same dynamic stiffness near their frequency where M_support M_attached w0^4 = kL^2.
+    """
+    for k, mode in enumerate(point.values.modes):
+        f, zeta, ratio = point.values.q[k]
+        ln_w0_squared = 2.0 * (np.log(2.0 * np.pi) + f)
+        stiffness = point.values.stiffness[mode.cap] - np.log(problem.mass[mode.cap]) - ln_w0_squared
+        other = ModePlace(mode.cap, "attached" if mode.form == "support" else "support")
+        limits = np.log(MASS_RATIO_LIMITS[other.form])
+        q = np.array([f, zeta, float(np.clip(2.0 * stiffness - ratio, *limits))])
+        flipped = problem.maximised(point.values.without_mode(k).with_mode(other, q))
+        if flipped.log_likelihood > point.log_likelihood:
+            order = [*range(k), len(point.values.modes) - 1, *range(k, len(point.values.modes) - 1)]
+            values = replace(
+                flipped.values, modes=tuple(flipped.values.modes[j] for j in order), q=flipped.values.q[order]
+            )
+            point = replace(flipped, values=values)
+    return point
+
+
+def _pruned(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
+    """The point without the modes that lose less than `least` nats when they are taken out."""
+    J, _ = problem.score(point)
+    sd = np.sqrt(np.abs(np.diag(np.linalg.pinv(products(J)))))
+    mass_sd = sd[sd.size - 3 * len(point.values.modes) :].reshape(-1, 3)[:, 2]
+    for k in reversed(range(len(point.values.modes))):
+        if mass_sd[k] < SURE_MASS_SD:
+            continue
+        bare = problem.maximised(point.values.without_mode(k))
+        if point.log_likelihood - bare.log_likelihood < least:
+            point = bare
+    return point
+
+
+def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:
+    """Least distance of the knots that leaves the force without a bend in the resonance of a bearing."""
+    k, c = np.exp(point.values.stiffness), np.exp(point.values.damping)
+    zeta = c / (2.0 * np.sqrt(k * problem.mass))
+    return float(np.log2(1.0 + MIN_KNOT_WIDTHS * 2.0 * zeta.min()))
+
+
+def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
+    """The point after some steps."""
+    return problem.maximised(values, TRIED_STEPS, TRIED_TOLERANCE_NATS)
+
+
+def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[JointSpectrum, JointPoint]]:
+    """Points with one more mode, those that promise most."""
+    seen: list[tuple[ModePlace, float]] = []
+    for _, mode, q in sorted(_scores(problem, point), key=lambda one: -one[0]):
+        if any(mode == other and abs(q[0] - f) < SAME_FREQUENCY_LN for other, f in seen):
+            continue
+        seen.append((mode, float(q[0])))
+        try:
+            yield problem, _tried(problem, point.values.with_mode(mode, q))
+        except np.linalg.LinAlgError:
+            continue
+        if len(seen) == PROPOSAL_COUNT:
+            return
+
+
+def _scores(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[float, ModePlace, Array]]:
+    """What a mode would gain by its mass to first order, nats, at all frequencies and dampings of a grid."""
+    J, r = problem.score(point)
+    spectra, s = problem.spectra, point.s
+    R = problem.matrices(r - np.linalg.lstsq(products(J), J @ r, rcond=1e-10)[0] @ J)
+    low, high = spectra.f_hz[0], spectra.f_hz[-1]
+    f = np.geomspace(low, high, int(np.log2(high / low) * SCANNED_PER_OCTAVE) + 2)
+    w0, zeta = (2.0 * np.pi * z.ravel()[:, None] for z in np.meshgrid(f, SCANNED_DAMPING, indexing="ij"))
+    zeta = zeta / (2.0 * np.pi)
+    damp = 2.0 * zeta * w0 * s
+    den = s * s + damp + w0 * w0
+    for i, half in enumerate(problem.by_stiffness(point)):
+        slope = 2.0 * np.einsum("fij,fij->f", R.conj(), half)
+        square = 2.0 * spectra.n * np.einsum("fij,fji->f", half, half)
+        norm = 2.0 * spectra.n * np.einsum("fij,fij->f", half, half.conj()).real
+        support = -(point.B[:, i] ** 2) / (problem.mass[i] * den)
+        attached = problem.mass[i] * s * s * (w0 * w0 + damp) / den
+        forms: tuple[tuple[ModeForm, Complexes], ...] = (("support", support), ("attached", attached))
+        for form, dz in forms:
+            score = (dz @ slope).real
+            information = (dz**2 @ square).real + np.abs(dz) ** 2 @ norm
+            size = np.maximum(score, 0.0) / information
+            gain = 0.5 * score * size
+            low, high = MASS_RATIO_LIMITS[form]
+            for k in np.argsort(-gain)[:BEST_SCORES]:
+                if size[k] > 0.0:
+                    ratio = float(np.clip(1.0 / size[k] if form == "support" else size[k], 1.5 * low, 0.7 * high))
+                    yield float(gain[k]), ModePlace(i, form), np.log([w0[k, 0] / (2 * np.pi), zeta[k, 0], ratio])
+
+
+def _dispersion(point: WorkingPoint) -> float:
+    """Variance of averaged spectra over that of an even record: a force whose level changes has fewer independent
+    samples."""
+    level = point.data.level
+    return 1.0 if level is None else float(np.mean(level**2, axis=1).max())
+
+
+def _result(
+    problem: JointSpectrum, found: JointPoint, point: WorkingPoint, places: tuple[int, ...]
+) -> Iterator[tuple[str, BearingBackground]]:
+    """The background of each cap."""
+    values, caps = found.values, problem.mass.size
+    J, _ = problem.score(found)
+    first = caps * (problem.basis.shape[1] + 1)
+    bearing = np.arange(first, first + 2 * caps)
+    whole = np.diag(np.linalg.pinv(products(J)))[bearing]
+    white = problem.with_octaves(np.inf)
+    J, _ = white.score(replace(found, values=replace(values, force=np.zeros((caps, 1)))))
+    known = np.diag(np.linalg.pinv((products(J))[: 4 * caps, : 4 * caps]))[2 * caps :]
+    more = np.sqrt(np.maximum(whole - known, 0.0)).reshape(2, caps)
+    f = np.geomspace(problem.spectra.f_hz[0], problem.spectra.f_hz[-1], SHAPE_KNOTS)
+    for cap, i in enumerate(places):
+        modes = tuple(
+            StructuralMode(
+                place=point.data.places[i], form=mode.form, mass=float(np.exp(q[2]) * problem.mass[cap]),
+                frequency_hz=float(np.exp(q[0])), damping=float(np.exp(q[1])),
+            )
+            for mode, q in zip(values.modes, values.q, strict=True)
+            if mode.cap == cap
+        )  # fmt: skip
+        ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
+        psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
+        tangent = problem.laws[:, cap]
+        yield point.data.places[i], BearingBackground(
+            modes=modes,
+            stiffness=float(np.exp(values.stiffness[cap]) + tangent.real.mean()),
+            damping=float(np.exp(values.damping[cap]) + (tangent / found.s).real.mean()),
+            f_hz=f,
+            psd_rel=psd,
+            knot_octaves=problem.octaves,
+            stiffness_sd_rel=float(more[0, cap]),
+            damping_sd_rel=float(more[1, cap]),
+        )

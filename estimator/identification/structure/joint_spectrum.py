@@ -1,0 +1,334 @@
+"""Likelihood of spectral matrices: a rotor whose bearings have structural modes beside them, under smooth forces.
+
+The acceleration of the caps of one direction has the spectral matrix
+
+    Sigma(w) = T diag(S_i(w)) T^H + diag(N_i n(w)),    T = -w^2 Z^-1,    Z = Z_0 + diag(B_i(jw) + Q_i(jw))
+
+Z_0 is the dynamic stiffness of cap masses, shaft and disc. B_i is the bearing in series with its support, Q_i the parts
+on the cap (see `estimator.model.background`). S_i is the spectrum of the force at cap i, a spline of ln S in ln f, and
+N_i the white noise of the sensor. The averaged matrices are complex Wishart distributed. Fisher scoring finds the
+maximum of their likelihood (Whittle 1953; Brillinger, Time Series, 1981, ch. 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from estimator.arrays import Array, Complexes
+from estimator.model.background import ModeForm
+
+from .cross_spectra import CrossSpectra
+
+# in cap masses: a lighter support, or a heavier part on the cap, is a rotor of its own
+MASS_RATIO_LIMITS: dict[ModeForm, tuple[float, float]] = {"support": (0.7, 300.0), "attached": (3e-4, 0.4)}
+DAMPING_RATIO_LIMITS = (1e-3, 0.12)  # of structures of metal with joints (Beards, Structural Vibration, 1996, ch. 3)
+BAND_MARGINS_REL = (0.8, 1.05)  # of a mode's frequency: lower and upper edge of the band
+SPLINE_PRIOR_SD = 2.0  # of ln S about its mean: the force varies by 9 dB along the band
+DAMPING_PRIOR_SD = 1.0  # of ln c about its start: a mode as wide as the bearing's resonance takes its damping away
+MAX_STEP = 1.0  # of any parameter, in logarithms
+SPLINE_DEGREE = 3
+ELEMENTS_PER_PRODUCT = 1 << 13  # of a matrix product that one thread makes
+
+
+@dataclass(frozen=True, slots=True)
+class ModePlace:
+    """Where a structural mode is. cap : number of the cap among those of the spectra."""
+
+    cap: int
+    form: ModeForm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointValues:
+    """Values of all parameters, in logarithms.
+
+    Parameters
+    ----------
+    force : (caps, splines) float64
+        Coefficients of ln S.
+    noise, stiffness, damping : (caps,) float64
+        ln N, ln kL, ln c.
+    modes : tuple of ModePlace
+        Structural modes.
+    q : (modes, 3) float64
+        ln of frequency in Hz, of damping ratio, and of mass over the cap's.
+    """
+
+    force: Array
+    noise: Array
+    stiffness: Array
+    damping: Array
+    modes: tuple[ModePlace, ...] = ()
+    q: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def vector(self) -> Array:
+        """(parameters,) all of them."""
+        return np.concatenate([self.force.ravel(), self.noise, self.stiffness, self.damping, self.q.ravel()])
+
+    def moved(self, step: Array, low: Array, high: Array) -> JointValues:
+        """The values after a step (parameters,), modes inside their limits (modes, 3)."""
+        caps, splines = self.force.shape
+        force, noise, stiffness, damping, q = np.split(
+            self.vector() + step, np.cumsum([caps * splines, caps, caps, caps])
+        )
+        return JointValues(
+            force=force.reshape(caps, splines), noise=noise, stiffness=stiffness, damping=damping, modes=self.modes,
+            q=np.clip(q.reshape(-1, 3), low, high),
+        )  # fmt: skip
+
+    def with_mode(self, mode: ModePlace, q: Array) -> JointValues:
+        """The values with one more mode."""
+        return replace(self, modes=(*self.modes, mode), q=np.vstack([self.q, q]))
+
+    def without_mode(self, k: int) -> JointValues:
+        """The values without the k-th mode."""
+        return replace(self, modes=(*self.modes[:k], *self.modes[k + 1 :]), q=np.delete(self.q, k, axis=0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointPoint:
+    """The spectral model at some values.
+
+    values. log_likelihood : nats. s : (cells,) rad/s. D, B : (cells, caps) N/m, dynamic stiffness of each bearing,
+    alone and in series with its support. T : (cells, caps, caps) 1/kg. S, N : (cells, caps) PSD of force and noise.
+    signal : (cells, caps, caps) Sigma without noise. W : whitens Sigma, W Sigma W^H = 1. R : whitened measured matrix.
+    """
+
+    values: JointValues
+    log_likelihood: float
+    s: Complexes
+    D: Complexes
+    B: Complexes
+    T: Complexes
+    S: Array
+    N: Array
+    signal: Complexes
+    W: Complexes
+    R: Complexes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSpectrum:
+    """The likelihood of the spectral matrices of one direction.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+        The measurement.
+    Z0 : (cells, caps, caps) complex128
+        Dynamic stiffness without bearings, N/m.
+    laws : (cells, caps) complex128
+        Mean tangents of the laws at each bearing, N/m.
+    mass : (caps,) float64
+        kg.
+    shape : (cells, caps) float64
+        Spectrum of the force that the model gives.
+    octaves : float
+        Distance of the knots of ln S; infinite for a white force.
+    damping0 : (caps,) float64
+        ln c about which the damping is expected.
+    """
+
+    spectra: CrossSpectra
+    Z0: Complexes
+    laws: Complexes
+    mass: Array
+    shape: Array
+    damping0: Array
+    octaves: float = np.inf
+    basis: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "basis", _spline_basis(np.log(self.spectra.f_hz), self.octaves))
+
+    def with_octaves(self, octaves: float) -> JointSpectrum:
+        """The problem with knots of another distance."""
+        return replace(self, octaves=octaves)
+
+    def respaced(self, values: JointValues, old: JointSpectrum) -> JointValues:
+        """Values of another spacing of the knots, as near as these knots allow."""
+        coefficients = np.linalg.lstsq(self.basis, old.basis @ values.force.T, rcond=None)[0].T
+        return replace(values, force=np.asarray(coefficients, np.float64))
+
+    def at(self, values: JointValues) -> JointPoint:
+        """The model at some values. Raises numpy.linalg.LinAlgError where Sigma is not positive."""
+        spectra, caps = self.spectra, np.arange(self.mass.size)
+        s = np.asarray(2j * np.pi * spectra.f_hz, np.complex128)
+        D = np.exp(values.stiffness) + self.laws + s[:, None] * np.exp(values.damping)
+        yielding, attached = np.zeros((2, *D.shape), np.complex128)
+        for mode, own in zip(values.modes, values.q, strict=True):
+            mass, w0, damp, den = self._mode(mode, own, s)
+            if mode.form == "support":
+                yielding[:, mode.cap] += 1.0 / (mass * den)
+            else:
+                attached[:, mode.cap] += mass * s * s * (w0 * w0 + damp) / den
+        B = D / (1.0 + D * yielding)
+        Z = self.Z0.copy()
+        Z[:, caps, caps] += B + attached
+        T = (s * s)[:, None, None] * np.linalg.inv(Z)
+        S = self.shape * np.exp(self.basis @ values.force.T)
+        N = np.exp(values.noise) * spectra.noise
+        signal = np.einsum("fij,fj,fkj->fik", T, S, T.conj())
+        Sigma = signal.copy()
+        Sigma[:, caps, caps] += N
+        root = np.linalg.cholesky(Sigma)
+        W = np.asarray(np.linalg.inv(root), np.complex128)
+        R = W @ spectra.psd @ W.conj().swapaxes(1, 2)
+        log_det = 2.0 * np.log(np.abs(root[:, caps, caps])).sum(axis=1)
+        nats = -float(spectra.n @ (log_det + np.einsum("fii->f", R).real))
+        prior = 0.5 * float(np.sum(((values.damping - self.damping0) / DAMPING_PRIOR_SD) ** 2))
+        uneven = values.force - values.force.mean(axis=1, keepdims=True)
+        prior += 0.5 * float(np.sum((uneven / SPLINE_PRIOR_SD) ** 2))
+        return JointPoint(
+            values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
+        )  # fmt: skip
+
+    def _mode(self, mode: ModePlace, q: Array, s: Complexes) -> tuple[float, float, Complexes, Complexes]:
+        """Mass, natural frequency in rad/s, 2 zeta w0 s and denominator of a mode."""
+        w0, mass = 2.0 * np.pi * np.exp(q[0]), float(np.exp(q[2]) * self.mass[mode.cap])
+        damp = 2.0 * np.exp(q[1]) * w0 * s
+        return mass, float(w0), damp, s * s + damp + w0 * w0
+
+    def by_stiffness(self, point: JointPoint) -> list[Complexes]:
+        """(cells, caps, caps) by cap: half of the derivative of whitened Sigma by the dynamic stiffness at the cap.
+
+        The derivative by a stiffness dz is that times dz and its conjugate transpose.
+        """
+        pulled, w2 = point.W @ point.T, -(point.s**2)[:, None, None]
+        rows = np.einsum("fij,fkj->fki", point.W.conj(), point.signal)
+        return [pulled[:, :, i, None] / w2 * rows[:, i, None, :] for i in range(self.mass.size)]
+
+    def derivatives(self, point: JointPoint) -> Complexes:
+        """(parameters, cells, caps, caps) derivatives of whitened Sigma."""
+        values, s = point.values, point.s
+        caps = range(self.mass.size)
+        pulled = point.W @ point.T
+        out = []
+        for i in caps:
+            own = pulled[:, :, i, None] * pulled[:, None, :, i].conj() * point.S[:, i, None, None]
+            out += [own * spline[:, None, None] for spline in self.basis.T]
+        out += [point.W[:, :, i, None] * point.W[:, None, :, i].conj() * point.N[:, i, None, None] for i in caps]
+        halves, series = self.by_stiffness(point), (point.B / point.D) ** 2
+
+        def by(i: int, dz: Complexes) -> Complexes:
+            half = halves[i] * dz[:, None, None]
+            return np.asarray(half + half.conj().swapaxes(1, 2))
+
+        out += [by(i, series[:, i] * np.exp(values.stiffness[i])) for i in caps]
+        out += [by(i, series[:, i] * s * np.exp(values.damping[i])) for i in caps]
+        for mode, q in zip(values.modes, values.q, strict=True):
+            mass, w0, damp, den = self._mode(mode, q, s)
+            d_frequency = damp + 2.0 * w0 * w0
+            if mode.form == "support":
+                through = point.B[:, mode.cap] ** 2 / (mass * den * den)
+                out += [by(mode.cap, through * dz) for dz in (d_frequency, damp, den)]
+            else:
+                top, per = w0 * w0 + damp, mass * s * s / den**2
+                for dz in (d_frequency * (den - top), damp * (den - top), top * den):
+                    out.append(by(mode.cap, per * dz))
+        return np.array(out)
+
+    def score(self, point: JointPoint) -> tuple[Array, Array]:
+        """Rows of a least-squares problem whose normal equations are those of Fisher scoring.
+
+        Returns (parameters, rows) derivatives and (rows,) residuals.
+        """
+        return self.rows(self.derivatives(point)), self.rows((point.R - np.eye(self.mass.size))[None])[0]
+
+    def rows(self, matrices: Complexes) -> Array:
+        """(k, rows) of Hermitian matrices (k, cells, caps, caps), so that products of rows are weighted traces."""
+        caps, root = range(self.mass.size), np.sqrt(self.spectra.n)
+        parts = [matrices[:, :, i, i].real * root for i in caps]
+        for i, j in combinations(caps, 2):
+            both = matrices[:, :, i, j] * (np.sqrt(2.0) * root)
+            parts += [both.real, both.imag]
+        return np.concatenate(parts, axis=1)
+
+    def matrices(self, rows: Array) -> Complexes:
+        """(cells, caps, caps) Hermitian matrices whose rows, weighted once more, these are."""
+        caps, root = range(self.mass.size), np.sqrt(self.spectra.n)
+        out = np.zeros((root.size, len(caps), len(caps)), np.complex128)
+        parts = iter(rows.reshape(-1, root.size))
+        for i in caps:
+            out[:, i, i] = next(parts) * root
+        for i, j in combinations(caps, 2):
+            out[:, i, j] = (next(parts) + 1j * next(parts)) * (root / np.sqrt(2.0))
+            out[:, j, i] = out[:, i, j].conj()
+        return out
+
+    def misfit(self, point: JointPoint) -> Array:
+        """(caps,) rms of ln(measured / model) of the whitened spectra beyond their scatter."""
+        n = self.spectra.n
+        off = np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2 - 1.0 / n[:, None]
+        return np.asarray(np.sqrt(np.maximum(n @ off / n.sum(), 0.0)))
+
+    def maximised(self, values: JointValues, steps: int = 40, tolerance_nats: float = 0.1) -> JointPoint:
+        """The point of largest likelihood, by damped Fisher scoring from some values."""
+        point = self.at(values)
+        low, high = self._limits(values.modes)
+        prior, centre = self._prior(values)
+        damped = 1e-3
+        for _ in range(steps):
+            J, r = self.score(point)
+            information, gradient = products(J) + prior, J @ r - prior @ (point.values.vector() - centre)
+            new: JointPoint | None = None
+            while new is None and damped < 1e7:
+                # a parameter without information does not move far
+                more = np.diag(damped * np.diag(information) + 0.1)
+                step = np.clip(np.linalg.solve(information + more, gradient), -MAX_STEP, MAX_STEP)
+                new = self._better(point, point.values.moved(step, low, high))
+                damped = max(0.2 * damped, 1e-7) if new is not None else max(5.0 * damped, 1e-4)
+            if new is None:
+                break
+            gained, point = new.log_likelihood - point.log_likelihood, new
+            if gained < tolerance_nats:
+                break
+        return point
+
+    def _prior(self, values: JointValues) -> tuple[Array, Array]:
+        """(parameters, parameters) information known before on the parameters, and (parameters,) what they are expected
+        at."""
+        caps, splines = values.force.shape
+        information, centre = np.zeros((values.vector().size,) * 2), np.zeros(values.vector().size)
+        own = (np.eye(splines) - 1.0 / splines) / SPLINE_PRIOR_SD**2
+        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), own)
+        first = caps * (splines + 2)
+        at = np.arange(first, first + caps)
+        information[at, at], centre[at] = 1.0 / DAMPING_PRIOR_SD**2, self.damping0
+        return information, centre
+
+    def _better(self, point: JointPoint, values: JointValues) -> JointPoint | None:
+        """The point at some values if it is likelier; None if not."""
+        try:
+            new = self.at(values)
+        except np.linalg.LinAlgError:
+            return None
+        return new if new.log_likelihood > point.log_likelihood else None
+
+    def _limits(self, modes: Sequence[ModePlace]) -> tuple[Array, Array]:
+        """(modes, 3) lower and upper limits of the modes."""
+        f = self.spectra.f_hz[[0, -1]] * BAND_MARGINS_REL
+        both = np.array([[f, DAMPING_RATIO_LIMITS, MASS_RATIO_LIMITS[mode.form]] for mode in modes]).reshape(-1, 3, 2)
+        return np.log(both[..., 0]), np.log(both[..., 1])
+
+
+def products(J: Array) -> Array:
+    """(k, k) products of the rows of J (k, n), a part at a time: threads would wait longer than the sums take."""
+    parts = np.array_split(J, max(J.size // ELEMENTS_PER_PRODUCT, 1), axis=1)
+    return np.asarray(sum(part @ part.T for part in parts), np.float64)
+
+
+def _spline_basis(x: Array, octaves: float) -> Array:
+    """(n, splines) B-splines of x = ln f, knots at least `octaves` apart; a constant where one interval holds all."""
+    pieces = int((x[-1] - x[0]) / np.log(2.0) / octaves)
+    if pieces < 1:
+        return np.ones((x.size, 1))
+    degree = min(SPLINE_DEGREE, pieces)
+    inner = np.linspace(x[0], x[-1], pieces + 1)
+    knots = np.concatenate([[inner[0]] * degree, inner, [inner[-1]] * degree])
+    return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, degree).toarray())

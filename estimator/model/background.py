@@ -1,0 +1,146 @@
+"""The background of a bearing: structural modes beside it, and the smooth spectrum of the force that excites it.
+
+A structural mode stands under the bearing or sits on its cap. With s = jw, D the dynamic stiffness of the bearing:
+
+    support:   a mass M on a spring and a damper, in series with the bearing; its compliance is 1 / (M den)
+    attached:  a mass M on the cap by a spring and a damper; its dynamic stiffness is M s^2 (w0^2 + 2 zeta w0 s) / den
+
+    den = s^2 + 2 zeta w0 s + w0^2
+
+A law of the bearing acts along the deflection of the bearing, the motion of the cap less that of the support.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+
+MIN_CHANGE_REL = 1e-3  # of stiffness or damping, that is worth another fit
+ModeForm = Literal["support", "attached"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StructuralMode:
+    """A structural mode at a bearing cap.
+
+    Parameters
+    ----------
+    place : str
+        Such as "bearing1.x".
+    form : {"support", "attached"}
+        Under the bearing, or on the cap.
+    mass : float
+        Modal mass, kg; in cap masses where the mass of the cap is unknown.
+    frequency_hz : float
+        Natural frequency of the mode on its own, Hz.
+    damping : float
+        Damping ratio.
+    """
+
+    place: str
+    form: ModeForm
+    mass: float
+    frequency_hz: float
+    damping: float
+
+    def denominator(self, s: NDArray[Any]) -> Complexes:
+        """s^2 + 2 zeta w0 s + w0^2 at s (f,) rad/s."""
+        w0 = 2.0 * np.pi * self.frequency_hz
+        return np.asarray(s * s + 2.0 * self.damping * w0 * s + w0 * w0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BearingBackground:
+    """The background of one place.
+
+    Parameters
+    ----------
+    modes : tuple of StructuralMode
+        Structural modes.
+    stiffness, damping : float
+        Of the bearing with the mean tangents of its laws, N/m and N s/m, that the support is in series with.
+    f_hz, psd_rel : (knots,) float64
+        Spectrum of the force over that of the model, mean 1; linear between the knots in logarithms.
+    knot_octaves : float
+        Distance of the knots of the spline behind `psd_rel`; infinite of a white force.
+    stiffness_sd_rel, damping_sd_rel : float
+        Standard deviations that the unknown background adds to those of kL and c, relative.
+    """
+
+    modes: tuple[StructuralMode, ...]
+    stiffness: float
+    damping: float
+    f_hz: Array
+    psd_rel: Array
+    knot_octaves: float = np.inf
+    stiffness_sd_rel: float = 0.0
+    damping_sd_rel: float = 0.0
+
+    def agrees_with(self, other: BearingBackground) -> bool:
+        """Whether another background has the same modes, and a bearing as stiff and damped within its certainty."""
+        if [(m.form, m.place) for m in self.modes] != [(m.form, m.place) for m in other.modes]:
+            return False
+        stiffness_sd, damping_sd = np.hypot([self.stiffness_sd_rel, self.damping_sd_rel], MIN_CHANGE_REL)
+        return bool(
+            abs(self.stiffness / other.stiffness - 1.0) < 0.5 * stiffness_sd
+            and abs(self.damping / other.damping - 1.0) < 0.5 * damping_sd
+        )
+
+    def deflection(self, s: NDArray[Any]) -> Complexes:
+        """(f,) deflection of the bearing per displacement of the cap at s (f,) rad/s."""
+        D = self.stiffness + self.damping * s
+        yielding = sum(1.0 / (m.mass * m.denominator(s)) for m in self.modes if m.form == "support")
+        return np.asarray(1.0 / (1.0 + D * yielding), np.complex128)
+
+    def attached_stiffness(self, s: NDArray[Any]) -> Complexes:
+        """(f,) N/m, dynamic stiffness that masses on the cap add at s (f,) rad/s."""
+        out = np.zeros(s.shape, np.complex128)
+        for m in self.modes:
+            if m.form == "attached":
+                w0 = 2.0 * np.pi * m.frequency_hz
+                out += m.mass * s * s * (w0 * w0 + 2.0 * m.damping * w0 * s) / m.denominator(s)
+        return out
+
+    def force_shape(self, f_hz: Array) -> Array:
+        """(f,) spectrum of the force at f_hz over that of the model."""
+        return np.asarray(np.exp(np.interp(np.log(f_hz), np.log(self.f_hz), np.log(self.psd_rel))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Background:
+    """The background of all places of a rig, by place; a place without an entry has a white force and no mode.
+
+    Parameters
+    ----------
+    at : mapping of str to BearingBackground
+        By place.
+    """
+
+    at: Mapping[str, BearingBackground] = field(default_factory=dict)
+
+    def agrees_with(self, other: Background | None) -> bool:
+        """Whether another background has the same modes, and bearings as stiff and damped within their certainty."""
+        if other is None or self.at.keys() != other.at.keys():
+            return False
+        return all(own.agrees_with(other.at[place]) for place, own in self.at.items())
+
+    def deflections(self, places: tuple[str, ...], s: NDArray[Any]) -> Complexes:
+        """(f, places) deflection of each bearing per displacement of its cap at s (f,) rad/s."""
+        one = np.ones(s.shape, np.complex128)
+        return np.stack([self.at[p].deflection(s) if p in self.at else one for p in places], axis=1)
+
+    def attached_stiffness(self, places: tuple[str, ...], s: NDArray[Any]) -> Complexes:
+        """(f, places) N/m at s (f,) rad/s."""
+        none = np.zeros(s.shape, np.complex128)
+        return np.stack([self.at[p].attached_stiffness(s) if p in self.at else none for p in places], axis=1)
+
+    def force_shapes(self, places: tuple[str, ...], f_hz: Array) -> Array:
+        """(places, f) spectrum of the force at each place over that of the model."""
+        flat = np.ones(f_hz.size)
+        return np.stack([self.at[p].force_shape(f_hz) if p in self.at else flat for p in places])

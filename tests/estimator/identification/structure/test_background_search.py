@@ -1,0 +1,91 @@
+"""Structural modes and spectra of the force: against the matrices that made the record, and against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.fft import irfft
+
+from estimator import Channel, Model, compare, fit
+from estimator.identification.structure.cross_spectra import CrossSpectra
+from estimator.identification.structure.joint_spectrum import JointSpectrum, JointValues, ModePlace
+from estimator.model.background import BearingBackground, StructuralMode
+
+RATE_HZ = 8192.0
+MASS, STIFFNESS, DAMPING = 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
+SUPPORT = StructuralMode(place="bearing1.x", form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
+PART = StructuralMode(place="bearing1.x", form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
+
+
+def record_with_modes(seconds: float) -> np.ndarray:
+    """(n, 1) acceleration of a cap on its bearing, with a mode of the support and a part on the cap."""
+    n = int(seconds * RATE_HZ)
+    f = np.arange(n // 2 + 1) / seconds
+    s = 2j * np.pi * np.maximum(f, 1.0)
+    D = STIFFNESS + DAMPING * s
+    w0 = 2 * np.pi * PART.frequency_hz
+    part = PART.mass * s**2 * (w0**2 + 2 * PART.damping * w0 * s) / PART.denominator(s)
+    bearing = 1.0 / (1.0 / D + 1.0 / (SUPPORT.mass * SUPPORT.denominator(s)))
+    rng = np.random.default_rng(5)
+    force = rng.normal(size=f.size) + 1j * rng.normal(size=f.size)
+    return irfft(force * s**2 / (MASS * s**2 + bearing + part), n)[:, None] * 100.0
+
+
+def rig() -> Model:
+    return Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 1800.0), mass={"bearing1": MASS})
+
+
+def test_structural_modes_are_found_and_leave_stiffness_and_damping_right() -> None:
+    y = record_with_modes(24.0)
+    found = fit(rig(), y, RATE_HZ)
+    for name, true in (("kL", STIFFNESS), ("c", DAMPING)):
+        parameter = found.parameters[f"bearing1.x.{name}"]
+        assert parameter.value is not None
+        assert parameter.sd is not None
+        assert abs(parameter.value - true) < 4.0 * parameter.sd
+        assert parameter.sd < 0.1 * true
+    told = next(m.text for m in found.messages if m.code == "structural_modes")
+    assert any(f"{hz}" in told for hz in range(287, 294))
+    assert compare(rig(), y, RATE_HZ).adequate
+
+
+def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
+    rng = np.random.default_rng(0)
+    f = np.linspace(50.0, 800.0, 200)
+    s, mass = 2j * np.pi * f, np.array([1.0, 1.2])
+    kL = mass * (2 * np.pi * np.array([300.0, 340.0])) ** 2
+    shaft = 3e5 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    A = rng.normal(size=(200, 2, 2)) + 1j * rng.normal(size=(200, 2, 2))
+    spectra = CrossSpectra(
+        places=(0, 1), f_hz=f, psd=A @ A.conj().swapaxes(1, 2) + np.eye(2), n=np.full(200, 7.0), noise=np.ones((200, 2))
+    )
+    problem = JointSpectrum(
+        spectra=spectra, Z0=shaft + (s**2)[:, None, None] * np.diag(mass), laws=np.zeros((200, 2), complex), mass=mass,
+        shape=np.ones((200, 2)), damping0=np.log([60.0, 80.0]), octaves=1.0,
+    )  # fmt: skip
+    values = JointValues(
+        force=0.1 * rng.normal(size=(2, problem.basis.shape[1])), noise=np.log([0.1, 0.2]), stiffness=np.log(kL),
+        damping=np.log([60.0, 80.0]),
+    )  # fmt: skip
+    values = values.with_mode(ModePlace(1, "support"), np.log([200.0, 0.02, 5.0]))
+    values = values.with_mode(ModePlace(0, "attached"), np.log([400.0, 0.02, 0.05]))
+    J, r = problem.score(problem.at(values))
+    low, high = np.full((2, 3), -np.inf), np.full((2, 3), np.inf)
+    for k, slope in enumerate(J @ r):
+        if k < 2 * problem.basis.shape[1]:
+            continue  # the prior of the spline is not part of the score
+        step = 1e-5 * np.eye(r.size and len(J))[k]
+        up, down = (problem.at(values.moved(sign * step, low, high)).log_likelihood for sign in (1.0, -1.0))
+        assert (up - down) / 2e-5 == pytest.approx(slope, rel=1e-4, abs=1e-2)
+
+
+def test_a_stiff_support_is_no_support_and_a_part_far_above_is_mass() -> None:
+    f = np.array([100.0])
+    s = 2j * np.pi * f
+    rigid = StructuralMode(place="bearing1.x", form="support", mass=1e6, frequency_hz=400.0, damping=0.01)
+    light = StructuralMode(place="bearing1.x", form="attached", mass=0.1, frequency_hz=1e5, damping=0.01)
+    own = BearingBackground(
+        modes=(rigid, light), stiffness=1e7, damping=10.0, f_hz=np.array([50.0, 500.0]), psd_rel=np.ones(2)
+    )
+    assert own.deflection(s) == pytest.approx(1.0, abs=1e-4)
+    assert own.attached_stiffness(s)[0].real == pytest.approx(0.1 * (s[0] ** 2).real, rel=1e-4)
