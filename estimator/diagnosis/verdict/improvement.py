@@ -274,9 +274,9 @@ class _Ladder:
             return None
         new = replace(self.whole, model=fitted_model(model, richer), point=richer)
         shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
-        if not (self.whole.masses or shaped):
+        if not (self.whole.masses or shaped or model.background):
             return new
-        again = replace(new.model, mass=given.mass)
+        again = replace(new.model, mass=given.mass, background=None)  # found anew: a missing law bends spectra too
         del richer, new, point
         self._drop_rows()
         return _refitted(again, self._y, self._rate_hz)
@@ -290,7 +290,7 @@ class _Ladder:
         given = self._given
         before = replace(
             fitted_model(self.whole.model, self.whole.point),
-            ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
+            ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass, background=None,
         )  # fmt: skip
         self._drop_rows()
         return refitted_with_found(before, given, best.settings, self._y, self._rate_hz)
