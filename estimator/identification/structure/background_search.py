@@ -86,7 +86,11 @@ def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) ->
 def _problem(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> JointSpectrum:
     """The spectral problem of the caps of one direction at the mean tangents of a working point."""
     data, own = point.data, list(places)
-    spectra = cross_spectra(data, places)
+
+    def response(f_hz: Array) -> Complexes:
+        return _acceleration_per_force(model, point, places, f_hz)
+
+    spectra = cross_spectra(data, point.force, places, response)
     s = 2j * np.pi * spectra.f_hz
     D = point.mean_tangent[own][:, own]
     shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own]
@@ -98,6 +102,19 @@ def _problem(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> Join
     return JointSpectrum(
         spectra=spectra, Z0=Z0, laws=laws, mass=data.mass[own], shape=shape, damping0=np.log(_sound_damping(point)[own])
     )  # fmt: skip
+
+
+def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int, ...], f_hz: Array) -> Complexes:
+    """(f, caps, caps) 1/kg, acceleration of the caps at some places per force there, of the linearised rotor."""
+    data, own, s = point.data, list(places), 2j * np.pi * f_hz
+    D = point.mean_tangent[own][:, own]
+    bearings = D[..., 0] + s[:, None, None] * D[..., 1]
+    np.einsum("fii->fi", bearings)[...] = point.kL[own] + s[:, None] * point.c[own] + _law_response(point, f_hz)[:, own]
+    Z = shaft_response(model, data.places, f_hz)[:, own][:, :, own] + (s * s)[:, None, None] * np.diag(data.mass[own])
+    if data.background is not None:
+        bearings *= data.background.deflections(data.places, s)[:, None, own]
+        np.einsum("fii->fi", Z)[...] += data.background.attached_stiffness(data.places, s)[:, own]
+    return np.asarray((s * s)[:, None, None] * np.linalg.inv(Z + bearings), np.complex128)
 
 
 def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:

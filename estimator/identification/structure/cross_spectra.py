@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import rfft
 
-from estimator.arrays import Array, Complexes
+from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.signals.band_limit import noise_shape
 
@@ -43,8 +44,24 @@ class CrossSpectra:
     noise: Array
 
 
-def cross_spectra(data: MotionRecord, places: tuple[int, ...]) -> CrossSpectra:
-    """Spectra of the caps at some places of a motion record, without its narrow lines."""
+def cross_spectra(
+    data: MotionRecord, force: Series, places: tuple[int, ...], response: Callable[[Array], Complexes]
+) -> CrossSpectra:
+    """Spectra of the acceleration that the residual force causes in the linearised rotor, without narrow lines.
+
+    Of a linear rotor it is the measured one. The harmonics that a law makes are not in it.
+
+    Parameters
+    ----------
+    data : MotionRecord
+        The record.
+    force : (places of the record, n) floating
+        Residual force, N.
+    places : tuple of int
+        Indices of the caps.
+    response : callable
+        (f,) Hz -> (f, caps, caps) acceleration per force of the linearised rotor, 1/kg.
+    """
     pieces, size = _pieces(data)
     f: Array = np.asarray(np.arange(size // 2 + 1) * (data.rate_hz / size), np.float64)
     keep = np.flatnonzero(_judged(data, f))
@@ -53,13 +70,10 @@ def cross_spectra(data: MotionRecord, places: tuple[int, ...]) -> CrossSpectra:
     S = np.zeros((keep.size, len(places), len(places)), np.complex128)
     for first in pieces:
         for taper in tapers:
-            part = data.v[list(places), first : first + size] * taper
-            a = (rfft(part, axis=1)[:, keep] * (2j * np.pi * f[keep])).T
-            S += a[:, :, None] * a[:, None, :].conj()
-    S *= 2.0 / (data.rate_hz * TAPER_COUNT * len(pieces))
-    if data.background is not None:  # the record holds the deflection of the bearings
-        moved = data.background.deflections(data.places, 2j * np.pi * f[keep])[:, list(places)]
-        S /= moved[:, :, None] * moved[:, None, :].conj()
+            F = rfft(force[list(places), first : first + size] * taper, axis=1)[:, keep].T
+            S += F[:, :, None] * F[:, None, :].conj()
+    T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * TAPER_COUNT * len(pieces)))
+    S = T @ S @ T.conj().swapaxes(1, 2)
     cell = np.floor(np.log(f[keep] / f[keep[0]]) / CELL_WIDTH_REL).astype(np.int64)
     first_bins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
     bins = np.diff(np.append(first_bins, keep.size))
