@@ -16,7 +16,8 @@ CELL_WIDTH_REL = 0.004  # of its frequency: a third of the half-power width of a
 PIECES_PER_RECORD = 12  # that the spectra are averaged over, at least
 TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
 TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
-LINE_SKIRT_BINS = 2.0  # beside a narrow line, that its tapered spectrum fills
+LINE_SKIRT_BINS = 3.0  # beside a narrow line, that its tapered spectrum fills
+SIDELOBE_BINS = 1.5  # of a line as strong as the noise in a bin: side lobes fall with the distance^4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +103,7 @@ def _pieces(data: MotionRecord) -> tuple[list[int], int]:
 def _judged(data: MotionRecord, f: Array) -> Array:
     """(bins,) whether a bin at f Hz is in the band and beside no line."""
     inside = (f >= data.band[0]) & (f <= data.band[1])
-    skirt = LINE_SKIRT_BINS * f[1]
     for line in data.lines:
+        skirt = f[1] * (LINE_SKIRT_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
         inside &= (f < line.low_hz - skirt) | (f > line.high_hz + skirt)
     return np.asarray(inside)
