@@ -25,7 +25,6 @@ INSIDE = {
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
     "estimator/identification/batch/test_long_record.py": (1, "a record of a quarter of an hour takes too long"),
     "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
-    "estimator/signals/test_band_limited_record.py": (1, LEAVES),
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,9 @@ from estimator.parallel import map_threads
 
 from .band_limit import BandLimit, BandLimitedMotion
 
-MAX_HELD_BYTES = 3e8  # of motion; a larger record is filtered anew at every access
-
 
 class BandLimitedRecord(BandLimit):
-    """Band-limited motion of (n, channels) rows, with the attributes of `BandLimitedMotion`, computed as it is read."""
-
-    start = 0
+    """Band-limited motion of (n, channels) rows, computed as it is asked for."""
 
     def __init__(
         self,
@@ -45,15 +40,10 @@ class BandLimitedRecord(BandLimit):
         if len(y) > 2 * self.half:
             inner = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
             self.valid[self.half : self.half + inner.size] = inner
-        self._recent: dict[int, Array] = {}
 
     @property
     def rows(self) -> int:
         return len(self._y)
-
-    @property
-    def large(self) -> bool:
-        return len(self.outputs) * self._y.nbytes > MAX_HELD_BYTES
 
     def _filtered(self, b: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
         """(outputs, channels, hop) filtered rows from b hop on, on the block grid of a stream."""
@@ -63,18 +53,6 @@ class BandLimitedRecord(BandLimit):
         if y.shape[1] < self._size:
             y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
         return self._block(np.ascontiguousarray(y), dtype)[0]
-
-    def cut(self, lo: int, hi: int) -> Array:
-        """(outputs, channels, hi - lo) of rows lo ... hi - 1, in the order of `outputs`."""
-        blocks = range(lo // self._hop, (hi - 1) // self._hop + 1)
-        known = self._recent
-        recent = {b: known[b] if b in known else self._filtered(b) for b in blocks}
-        self._recent = recent  # whole, so that it may be called from two threads
-        out = np.empty((len(self.outputs), len(self.kinds), hi - lo))
-        for b, z in recent.items():
-            a, e = max(lo, b * self._hop), min(hi, (b + 1) * self._hop)
-            out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
-        return out
 
     def whole(self, dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
         """The motion of the whole record in memory."""
@@ -100,27 +78,3 @@ class BandLimitedRecord(BandLimit):
 
         map_threads(fill, asked)
         return self.motion(stretches[0].start, out, np.concatenate([self.valid[rows] for rows in stretches]))
-
-    @cached_property
-    def rms(self) -> Array:
-        """(outputs, channels) rms of the valid rows."""
-
-        def squares(b: int) -> Array:
-            valid = self.valid[b * self._hop : (b + 1) * self._hop]
-            z = self._filtered(b)[:, :, : valid.size] * valid
-            return np.asarray(np.einsum("ocn,ocn->oc", z, z))
-
-        total = np.sum(map_threads(squares, range(-(-self.rows // self._hop))), axis=0)
-        return np.asarray(np.sqrt(total / max(int(self.valid.sum()), 1)))
-
-    @property
-    def a(self) -> Array:
-        return np.asarray(self.cut(0, self.rows)[0])
-
-    @property
-    def v(self) -> Array:
-        return np.asarray(self.cut(0, self.rows)[1])
-
-    @property
-    def x(self) -> Array:
-        return np.asarray(self.cut(0, self.rows)[2])

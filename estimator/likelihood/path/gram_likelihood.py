@@ -10,7 +10,7 @@ frequency. Where the force is measured at every place the slopes have none of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -259,22 +259,6 @@ class Likelihood:
         nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
         psd = self.noise_shape * point.noise
         return noise_slope(A, self.seen, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
-
-    def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
-        """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
-
-        pairs : (nodes, columns, columns) self-energies.
-        """
-        ev, B = self.evidence, self.evidence.balance.coefficients(local.point.beta)
-        line = self.line(B, B @ self.R)
-        s2 = (line.shift + 2j * np.pi * ev.nodes.f_hz) ** 2
-        own = np.einsum("fii->fi", np.linalg.inv(line.A))[:, self.row]  # (f, E) response of each entry's own place
-        slope = -pairs[:, self.column[:, None], self.column] / s2[:, None, None]
-        change = np.einsum("fab,fa,f->ab", slope, own, ev.nodes.weight).real
-        change = np.where(self.row[:, None] == self.row, change, 0.0)
-        hessian, p = local.hessian.copy(), local.point.beta.size
-        hessian[:p, :p] -= ev.blocks * self.T @ (0.5 * (change + change.T)) @ self.T.T
-        return replace(local, hessian=hessian)
 
     def better(self, trial: Local, here: Local) -> bool:
         """Whether a step has not made the model less likely."""

@@ -59,41 +59,16 @@ def self_energies(
 class TangentNoise:
     """Effect of the noise of displacement sensors on the laws, per unit of each law; 0 for other columns and sensors.
 
+    Sensor noise e enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is part of A. The
+    fluctuation of the tangent adds white noise to the column of the law, which biases least squares (errors in
+    variables). The second part has the mean <e^2> phi'' / 2, which acts as a stiffness.
+
     covariance : (places, columns, columns) (N/m)^2, of the tangents at a place. bend : (places, columns) N/m^3, half
     the curvature of the tangent, from its regression on x^2.
     """
 
     covariance: Array
     bend: Array
-
-
-def tangent_noise(record: Record, columns: Columns, seconds: float = MIN_COVARIANCE_S) -> TangentNoise | None:
-    """Tangent noise of the laws; None without a displacement sensor (integrated noise of other sensors is small).
-
-    Sensor noise e enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is part of A. The
-    fluctuation of the tangent adds white noise to the column of the law, which biases least squares (errors in
-    variables). The second part has the mean <e^2> phi'' / 2, which acts as a stiffness.
-    """
-    balance = columns.balance
-    covariance = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
-    bend = np.zeros((len(balance.places), len(balance.columns)))
-    usable = valid_blocks(record.motion.valid, record.grid)[::2]
-    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
-    for row, kind in enumerate(balance.kinds):
-        laws = [
-            k
-            for k, c in enumerate(balance.columns)
-            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
-        ]
-        if laws and kind == "displacement":
-            series, factor = _series(record, columns, laws, usable)
-            tangents = series[:, 0, :, ::factor].reshape(len(laws), -1)
-            first = usable * record.grid.hop
-            square = np.concatenate([record.motion.x[row, a : a + record.grid.size] for a in first]) ** 2
-            square -= square.mean()
-            covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
-            bend[row, laws] = tangents @ square / (square @ square)
-    return TangentNoise(covariance, bend) if covariance.any() else None
 
 
 def without_noise(

@@ -74,7 +74,6 @@ def test_the_true_model_with_a_strong_line_is_adequate(rig: Model) -> None:
     y = record(rig, "line", 0.06)
     added = replace(rig, effects=(*rig.effects, EffectUse("line", {"bearing1.x": {}, "bearing1.y": {}})))
     assert compare(added, y, RATE).adequate
-    assert not compare(rig, y, RATE).adequate
 
 
 def test_what_a_record_does_not_have_is_said(rig: Model) -> None:
