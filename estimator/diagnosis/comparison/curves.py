@@ -22,7 +22,7 @@ from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-from .shape import Shape
+from .shape import Shape, limits_95
 
 MEAN_SECONDS = 5.0  # of the record that conditional means are taken over
 CURVE_STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
@@ -144,23 +144,17 @@ def _of_hats(
     freed = _without(np.column_stack([np.ones_like(knots), D]), visits) @ to_hats
     force, sd = (freed @ values)[inside], _sd(freed, cov)[inside]
     x = knots[inside]
-    shape = Shape(
-        channel=channel, against=state, at=x, force=force, band_low=force - 1.96 * sd, band_high=force + 1.96 * sd
-    )
+    shape = Shape.from_estimate(channel, state, x, force=force, sd=sd)
 
     near = np.where(np.abs(knots) <= INNER_RMS * rms, visits, 0.0) if x_state else visits
     line = _without(np.column_stack([np.ones_like(knots), knots]), near)
     total = line @ to_total
     whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
-    return shape, Law(
-        channel=channel,
-        against=state,
-        at=x,
-        measured=whole,
-        band_low=whole - 1.96 * sd,
-        band_high=whole + 1.96 * sd,
-        model=(line @ model)[inside],
+    low, high = limits_95(whole, sd)
+    law = Law(
+        channel=channel, against=state, at=x, measured=whole, band_low=low, band_high=high, model=(line @ model)[inside]
     )
+    return shape, law
 
 
 def _without(D: Array, weight: Array) -> Array:
@@ -179,9 +173,7 @@ def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, a
     units = fit.scales[k]
     force = A @ (fit.delta[k] * units)
     sd = _sd(A, fit.covariance[np.ix_(k, k)] * np.multiply.outer(units, units))
-    return Shape(
-        channel=channel, against=against, at=at, force=force, band_low=force - 1.96 * sd, band_high=force + 1.96 * sd
-    )
+    return Shape.from_estimate(channel, against, at, force=force, sd=sd)
 
 
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:

@@ -13,6 +13,11 @@ from estimator.identification.residual.missing_force import MissingForce, PlaceR
 from estimator.likelihood.path.working_point import WorkingPoint
 
 
+def limits_95(value: Array, sd: Array) -> tuple[Array, Array]:
+    """Lower and upper 95 % limits of values with these standard deviations."""
+    return value - 1.96 * sd, value + 1.96 * sd
+
+
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Residual restoring force against a state, without the part that kL and c can take over.
@@ -27,6 +32,12 @@ class Shape:
     force: Array
     band_low: Array
     band_high: Array
+
+    @classmethod
+    def from_estimate(cls, channel: str, against: str, at: Array, force: Array, sd: Array) -> Shape:
+        """The curve of a force (n,) N with its standard deviation (n,) N."""
+        low, high = limits_95(force, sd)
+        return cls(channel=channel, against=against, at=at, force=force, band_low=low, band_high=high)
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -55,14 +66,7 @@ def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channe
     free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
     force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
     at_knots, force, sd = knots[inside], force[inside], sd[inside]
-    return Shape(
-        channel=channel,
-        against=group,
-        at=at_knots,
-        force=force,
-        band_low=force - 1.96 * sd,
-        band_high=force + 1.96 * sd,
-    )
+    return Shape.from_estimate(channel, group, at_knots, force=force, sd=sd)
 
 
 def missing_force_curve(
