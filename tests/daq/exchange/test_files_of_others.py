@@ -14,12 +14,12 @@ from daq.base.contract.errors import LogError
 from daq.exchange.checks import Record, load
 from daq.rig.rig import Rig
 
-RATE, N = 100.0, 300
+RATE_HZ, N = 100.0, 300
 K = np.arange(N)
 X = np.round(200 * np.sin(0.46 * K) + 20 * np.cos(1.4 * K)).astype(np.int16)
 Y = np.round(150 * np.sin(0.32 * K) + 30 * np.cos(1.2 * K)).astype(np.int16)
 START_NS = 1_700_000_000 * 10**9  # 2023-11-14 22:13:20 UTC
-RIG = """schema = 1
+RIG_TEXT = """schema = 1
 [band]
 low = 1.0
 high = 40.0
@@ -47,11 +47,11 @@ def in_utc(monkeypatch: pytest.MonkeyPatch) -> None:
     time.tzset()
 
 
-def read(path: Path, notes: list[str] | None = None, rig: str = RIG) -> Record:
+def read(path: Path, notes: list[str] | None = None, rig: str = RIG_TEXT) -> Record:
     return load(path, Rig.parse(rig), None, ([] if notes is None else notes).append)
 
 
-def check(record: Record, x: Any = X, y: Any = Y, started_ns: int | None = None, rate: float = RATE) -> None:
+def check(record: Record, x: Any = X, y: Any = Y, started_ns: int | None = None, rate: float = RATE_HZ) -> None:
     assert record.rate_hz == pytest.approx(rate, rel=1e-6)
     np.testing.assert_allclose(record.si(), np.column_stack([x, y]).astype(float), atol=1e-4)
     assert record.started_ns == started_ns
@@ -64,27 +64,27 @@ def table(path: Path, head: str, time: Callable[[int], str], separator: str = ",
 
 
 def serial(k: int, of: float) -> str:
-    return f"{of + k / RATE / 86400:.12f}"
+    return f"{of + k / RATE_HZ / 86400:.12f}"
 
 
-TABLES: dict[str, tuple[str, Callable[[int], str], int | None]] = {
+TABLES_OF_OTHERS: dict[str, tuple[str, Callable[[int], str], int | None]] = {
     "days of a spreadsheet": ("time,b1x,b2x", lambda k: serial(k, 25569 + START_NS / 86400e9), START_NS),
-    "an American date": ("time,b1x,b2x", lambda k: f"11/14/2023 10:13:{20 + k / RATE:06.3f} PM", START_NS),
-    "hours with a comma": ('"Time, h",b1x,b2x', lambda k: f"{k / RATE / 3600:.11f}", None),
+    "an American date": ("time,b1x,b2x", lambda k: f"11/14/2023 10:13:{20 + k / RATE_HZ:06.3f} PM", START_NS),
+    "hours with a comma": ('"Time, h",b1x,b2x', lambda k: f"{k / RATE_HZ / 3600:.11f}", None),
 }
 
 
 @pytest.mark.promise("days as times", "Excel, American dates", "read, with the date")
-@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize("kind", TABLES_OF_OTHERS)
 def test_times_of_spreadsheets(tmp_path: Path, kind: str) -> None:
-    head, time, started_ns = TABLES[kind]
+    head, time, started_ns = TABLES_OF_OTHERS[kind]
     check(read(table(tmp_path / "a.csv", head, time)), started_ns=started_ns)
-    other = RIG.replace("[acquisition]\nrate_hz = 100.0\nfull_scale = 500.0\n", "")
+    other = RIG_TEXT.replace("[acquisition]\nrate_hz = 100.0\nfull_scale = 500.0\n", "")
     check(read(tmp_path / "a.csv", rig=other), started_ns=started_ns)
 
 
 def test_the_minus_of_typesetting(tmp_path: Path) -> None:
-    check(read(table(tmp_path / "a.csv", "time,b1x,b2x", lambda k: f"{k / RATE:.2f}", minus="\u2212")))
+    check(read(table(tmp_path / "a.csv", "time,b1x,b2x", lambda k: f"{k / RATE_HZ:.2f}", minus="\u2212")))
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def lvm(
         titles = {"Multi": "X_Value\tb1x\tX_Value\tb2x"}.get(columns, "X_Value\tb1x\tb2x")
         out += f"{titles}\tComment\n"
         for k in range(N):
-            t = "" if columns == "No" else f"{k / RATE:.6f}"
+            t = "" if columns == "No" else f"{k / RATE_HZ:.6f}"
             cells = [t, f"{X[k]:.3f}", *([t] if columns == "Multi" else []), f"{Y[k]:.3f}"]
             out += "\t".join(c.replace(".", ",") if comma else c for c in cells) + "\n"
         out += "\n"
@@ -195,8 +195,8 @@ def uff(
 @pytest.mark.parametrize("binary", [0, 1])
 def test_universal_files_with_times_of_their_own(tmp_path: Path, binary: int) -> None:
     check(read(uff(tmp_path / "a.uff", binary, "ms", (10.0, 10.0))))
-    check(read(uff(tmp_path / "b.uff", binary, x=K / RATE, abscissa_spacing=0, steps=(0.5, 0.5), abscissa_inc=0.5)))
-    hole = K / RATE + np.where(K > 200, 0.5, 0.0)
+    check(read(uff(tmp_path / "b.uff", binary, x=K / RATE_HZ, abscissa_spacing=0, steps=(0.5, 0.5), abscissa_inc=0.5)))
+    hole = K / RATE_HZ + np.where(K > 200, 0.5, 0.0)
     for refused, why in (
         (uff(tmp_path / "c.uff", binary, x=hole, abscissa_spacing=0), "about 50 samples are missing before row 201"),
         (uff(tmp_path / "d.uff", binary, steps=(0.01, 0.02)), "b1x is sampled at 100 Hz, b2x at 50 Hz"),
@@ -225,13 +225,13 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
             check(read(tmp_path / "a.mat"), X * 9.80665, Y * 9.80665e-3)
     scipy.io.savemat(tmp_path / "b.mat", {"b1x": {"data": X, "unit": "g"}, "b2x": {"data": Y, "unit": "mg"}, "fs": 100})
     check(read(tmp_path / "b.mat"), X * 9.80665, Y * 9.80665e-3)
-    scipy.io.savemat(tmp_path / "c.mat", {"b1x": X, "b2x": Y, "t": 719529 + START_NS / 86400e9 + K / RATE / 86400})
+    scipy.io.savemat(tmp_path / "c.mat", {"b1x": X, "b2x": Y, "t": 719529 + START_NS / 86400e9 + K / RATE_HZ / 86400})
     record = read(tmp_path / "c.mat")
     assert record.started_ns == pytest.approx(START_NS, abs=1e6)
     check(record, started_ns=record.started_ns, rate=record.rate_hz)
-    assert record.rate_hz == pytest.approx(RATE, rel=1e-4)
+    assert record.rate_hz == pytest.approx(RATE_HZ, rel=1e-4)
     scipy.io.savemat(tmp_path / "d.mat", {"d": np.vstack([X, Y]), "fs": 100.0})
-    rig = RIG.replace('name = "b1x"', 'name = "b1x"\nalias = "d(1,:)"')
+    rig = RIG_TEXT.replace('name = "b1x"', 'name = "b1x"\nalias = "d(1,:)"')
     check(read(tmp_path / "d.mat", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(2,:)"')))
 
 
@@ -239,14 +239,15 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
 def test_channels_with_times_and_starts_of_their_own_are_refused(tmp_path: Path) -> None:
     import scipy.io
 
-    of = {name: {"Data": values, "Time": K / RATE} for name, values in (("b1x", X), ("b2x", Y))}
+    of = {name: {"Data": values, "Time": K / RATE_HZ} for name, values in (("b1x", X), ("b2x", Y))}
     scipy.io.savemat(tmp_path / "a.mat", of)
     check(read(tmp_path / "a.mat"))
     of["b2x"]["Time"] = K / 50.0
     scipy.io.savemat(tmp_path / "b.mat", of)
     with pytest.raises(LogError, match=r"b2x has times of its own \(b2x.Time\), others than b1x.Time"):
         read(tmp_path / "b.mat")
-    of = {n: {"Data": v, "fs": RATE, "start_time": t} for n, v, t in (("b1x", X, "22:13:20"), ("b2x", Y, "22:13:21"))}
+    starts = (("b1x", X, "22:13:20"), ("b2x", Y, "22:13:21"))
+    of = {n: {"Data": v, "fs": RATE_HZ, "start_time": t} for n, v, t in starts}
     scipy.io.savemat(tmp_path / "c.mat", of)
     with pytest.raises(LogError, match="its channels begin at different times"):
         read(tmp_path / "c.mat")
@@ -260,7 +261,7 @@ def test_a_table_without_a_header_is_called_one(tmp_path: Path) -> None:
 
 def test_columns_of_a_matrix_in_an_archive(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", d=np.column_stack([X, Y]), fs=100.0)
-    rig = RIG.replace('name = "b1x"', 'name = "b1x"\nalias = "d(:,1)"')
+    rig = RIG_TEXT.replace('name = "b1x"', 'name = "b1x"\nalias = "d(:,1)"')
     check(read(tmp_path / "a.npz", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(:,2)"')))
 
 
@@ -270,8 +271,8 @@ def test_a_row_that_an_mf4_calls_invalid_is_no_sample(tmp_path: Path) -> None:
     invalid = np.isin(K, [100, 101])
     with MDF(version="4.10") as file:
         file.append([
-            Signal(X.astype(float), K / RATE, name="b1x", unit="m/s^2", invalidation_bits=invalid),
-            Signal(Y, K / RATE, name="b2x", unit="m/s^2", conversion={"a": 0.5, "b": 1.0}),
+            Signal(X.astype(float), K / RATE_HZ, name="b1x", unit="m/s^2", invalidation_bits=invalid),
+            Signal(Y, K / RATE_HZ, name="b2x", unit="m/s^2", conversion={"a": 0.5, "b": 1.0}),
         ])  # fmt: skip
         file.save(tmp_path / "a.mf4", overwrite=True)
     with pytest.raises(LogError, match="b1x is not a number at row 100 .*2 rows in all"):

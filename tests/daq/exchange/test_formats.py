@@ -40,7 +40,7 @@ direction = "y"
 unit = "m/s^2"
 """
 Y = np.random.default_rng(0).standard_normal((400, 2))
-TIME = np.arange(400) / RATE_HZ
+TIME_S = np.arange(400) / RATE_HZ
 X_ONLY = {"x": Y[:, 0], "y": Y[:, 1]}
 STARTED_UTC = "2024-05-31T11:05:00Z"
 
@@ -104,13 +104,13 @@ def test_channels_as_structs_with_data_in_them(tmp_path: Path) -> None:
 
 @pytest.mark.promise("a time vector beside a rate", "a hole, a contradiction", "refused")
 def test_a_time_vector_beside_a_rate_has_to_agree_with_it(tmp_path: Path) -> None:
-    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=TIME)))
-    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, t_ms=1e3 * TIME)))
-    refused(mat(tmp_path, **X_ONLY, fs=2000.0, time=TIME), "says a rate of 2000 Hz, but its time gives 1000 Hz")
-    hole = np.where(TIME > 0.2, TIME + 0.05, TIME)
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=TIME_S)))
+    assert_read(read(mat(tmp_path, **X_ONLY, fs=RATE_HZ, t_ms=1e3 * TIME_S)))
+    refused(mat(tmp_path, **X_ONLY, fs=2000.0, time=TIME_S), "says a rate of 2000 Hz, but its time gives 1000 Hz")
+    hole = np.where(TIME_S > 0.2, TIME_S + 0.05, TIME_S)
     refused(mat(tmp_path, **X_ONLY, fs=RATE_HZ, time=hole), "about 50 samples are missing before row 201")
     refused(mat(tmp_path, **X_ONLY, fs=RATE_HZ, Fs=500.0), "fs says 1000 Hz, Fs 500 Hz; remove the one")
-    refused(mat(tmp_path, **X_ONLY, time=1e3 * TIME), r'in ms the .*1000 Hz.*"time \[ms\]"')
+    refused(mat(tmp_path, **X_ONLY, time=1e3 * TIME_S), r'in ms the .*1000 Hz.*"time \[ms\]"')
     np.savez(tmp_path / "a.npz", **X_ONLY, rate_hz=RATE_HZ, time=hole)
     refused(tmp_path / "a.npz", "50 samples are missing")
 
@@ -125,7 +125,7 @@ def mf4(folder: Path, signals: list[list[Signal]], start: datetime | None = None
 
 
 def both(scale: float = 1.0, unit: str = "m/s^2") -> list[Signal]:
-    return [Signal(scale * Y[:, k], TIME + 1.5, name=n, unit=unit) for k, n in enumerate("xy")]
+    return [Signal(scale * Y[:, k], TIME_S + 1.5, name=n, unit=unit) for k, n in enumerate("xy")]
 
 
 def test_mf4_in_two_groups_is_asked_for_and_read_by_its_alias(tmp_path: Path) -> None:
@@ -147,13 +147,13 @@ def test_mf4_units_and_date(tmp_path: Path) -> None:
 
 @pytest.mark.promise("an MF4 over an angle", "master of another kind than time", "refused")
 def test_mf4_over_an_angle_is_refused(tmp_path: Path) -> None:
-    angle = [Signal(Y[:, 0], TIME, name="x", master_metadata=("Angle", 2)), Signal(Y[:, 1], TIME, name="y")]
+    angle = [Signal(Y[:, 0], TIME_S, name="x", master_metadata=("Angle", 2)), Signal(Y[:, 1], TIME_S, name="y")]
     refused(mf4(tmp_path, [angle]), r'x was recorded over an angle \(master channel "Angle"\), not over time')
 
 
 def test_mf4_masters_say_their_unit(tmp_path: Path) -> None:
     for unit, factor in (("ms", 1e3), ("s", 1.0), ("", 1.0)):
-        signals = [Signal(Y[:, k], factor * TIME, name=n) for k, n in enumerate("xy")]
+        signals = [Signal(Y[:, k], factor * TIME_S, name=n) for k, n in enumerate("xy")]
         path = mf4(tmp_path, [signals])
         with MDF(path) as file:
             file.groups[0].channels[0].unit = unit

@@ -21,10 +21,10 @@ from daq.log.reader import read_log
 from daq.log.recover import recover
 from drivers.contract.reading import Block, Info, Reading, Signal
 
-STREAM = make_stream(90, 600)  # 430 kB
-FIRST, COUNTS = truth(STREAM)
+WIRE_STREAM = make_stream(90, 600)  # 430 kB
+FIRST_INDEX, TRUE_COUNTS = truth(WIRE_STREAM)
 WALL_NS = 1_700_000_000 * 10**9
-NAMES = [s.name for s in make_info().signals]
+SIGNAL_NAMES = [s.name for s in make_info().signals]
 
 
 def write(path: Path, stream: list[Reading], flush_every: int = 6) -> Path:
@@ -46,7 +46,7 @@ def write(path: Path, stream: list[Reading], flush_every: int = 6) -> Path:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Whole; cut; with a damaged chunk; recovered, in which not every chunk can be read alone."""
     folder = tmp_path_factory.mktemp("part")
-    whole = write(folder / "whole.mcap", STREAM)
+    whole = write(folder / "whole.mcap", WIRE_STREAM)
     cut, hurt = folder / "cut.mcap", folder / "hurt.mcap"
     data = bytearray(whole.read_bytes())
     cut.write_bytes(data[: len(data) * 3 // 4])
@@ -62,9 +62,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     "bit for bit what the whole holds there",
 )
 @settings(max_examples=60)
-@given(st.integers(0, 3), st.integers(0, len(COUNTS) - 2), st.integers(1, 20_000), st.sets(st.integers(0, 3)))
+@given(st.integers(0, 3), st.integers(0, len(TRUE_COUNTS) - 2), st.integers(1, 20_000), st.sets(st.integers(0, 3)))
 def test_a_part_holds_what_the_whole_holds_there(logs: list[Path], log: int, row: int, rows: int, of: set[int]) -> None:
-    whole, names = read_log(logs[log]), tuple(NAMES[k] for k in sorted(of))
+    whole, names = read_log(logs[log]), tuple(SIGNAL_NAMES[k] for k in sorted(of))
     part = Part(from_s=row / RATE_HZ, seconds=rows / RATE_HZ, channels=names)
     columns = sorted(of) or [0, 1, 2, 3]
     stop = min(row + rows, whole.stop - whole.first)
@@ -77,7 +77,7 @@ def test_a_part_holds_what_the_whole_holds_there(logs: list[Path], log: int, row
     shift = got.first - whole.first - row  # a damaged place at the start of the part is no gap of the part
     assert shift >= 0
     assert (expected[:shift] == np.iinfo(np.int32).min).all()
-    assert got.channels == tuple(NAMES[k] for k in columns)
+    assert got.channels == tuple(SIGNAL_NAMES[k] for k in columns)
     there = got.counts()
     np.testing.assert_array_equal(there, expected[shift : shift + len(there)])
     assert (expected[shift + len(there) :] == np.iinfo(np.int32).min).all()
@@ -146,13 +146,13 @@ def test_a_part_of_another_description_keeps_its_own_channels(tmp_path: Path) ->
     early, late = make_block(0, 25600), make_block(25600, 25600)
     late = replace(late, counts=late.counts[:, ::-1].copy())
     log = write(tmp_path / "a.mcap", [info, early, swapped, late])
-    two = read_log(log, part=Part(channels=(NAMES[1],)))
+    two = read_log(log, part=Part(channels=(SIGNAL_NAMES[1],)))
     np.testing.assert_array_equal(two.samples()[:, 0], read_log(log).samples()[:, 1])
     replayed = [r for r in two.readings() if isinstance(r, Info)]
-    assert [[s.name for s in r.signals] for r in replayed] == [[NAMES[1]], [NAMES[1]]]
+    assert [[s.name for s in r.signals] for r in replayed] == [[SIGNAL_NAMES[1]], [SIGNAL_NAMES[1]]]
     other = replace(info, signals=(Signal("else", "m/s^2", 1.0),))
     log = write(tmp_path / "b.mcap", [info, early, other, replace(late, counts=late.counts[:, :1].copy())])
-    part = read_log(log, part=Part(channels=(NAMES[1],)))
+    part = read_log(log, part=Part(channels=(SIGNAL_NAMES[1],)))
     assert np.isnan(part.samples()[25600:]).all()
     assert part.others
 

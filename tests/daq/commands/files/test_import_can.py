@@ -11,7 +11,7 @@ import pytest
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
 
-RIG = """schema = 1
+RIG_TEXT = """schema = 1
 [band]
 low = 1.0
 high = 40.0
@@ -27,7 +27,7 @@ dbc = "a.dbc"
 [link.signals]
 b1x = "M.X"
 """
-DBC = """VERSION ""
+DBC_TEXT = """VERSION ""
 BS_:
 BU_: d
 BO_ 256 M: 2 d
@@ -38,8 +38,8 @@ BO_ 256 M: 2 d
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    Path("rig.toml").write_text(RIG)
-    Path("a.dbc").write_text(DBC)
+    Path("rig.toml").write_text(RIG_TEXT)
+    Path("a.dbc").write_text(DBC_TEXT)
     return tmp_path
 
 

@@ -15,8 +15,8 @@ from daq.log.reader import read_log
 from daq.rig.edit import of_channels
 from daq.rig.rig import load_rig
 
-RATE = 5120.0
-RIG = """schema = 1
+RATE_HZ = 5120.0
+RIG_TEXT = """schema = 1
 [band]
 low = 100.0
 high = 2000.0
@@ -42,13 +42,13 @@ node = "bearing2"
 direction = "x"
 unit = "m/s^2"
 """
-CAN = """[link]
+CAN_LINK_TEXT = """[link]
 dbc = "a.dbc"
 [link.signals]
 b1x = "M.X"
 b2x = "M.Y"
 """
-DBC = """VERSION ""
+DBC_TEXT = """VERSION ""
 BS_:
 BU_: d
 BO_ 256 M: 4 d
@@ -60,20 +60,20 @@ BO_ 256 M: 4 d
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    Path("rig.toml").write_text(RIG)
+    Path("rig.toml").write_text(RIG_TEXT)
     return tmp_path
 
 
 def record(seconds: float) -> np.ndarray:
     """Two resonances at 500 Hz, driven by noise."""
-    pole = 0.97 * np.exp(2j * np.pi * 500.0 / RATE)
-    noise = np.random.default_rng(1).standard_normal((round(seconds * RATE), 2))
+    pole = 0.97 * np.exp(2j * np.pi * 500.0 / RATE_HZ)
+    noise = np.random.default_rng(1).standard_normal((round(seconds * RATE_HZ), 2))
     return np.asarray(lfilter([1.0, -1.0], [1.0, -2 * pole.real, abs(pole) ** 2], noise, axis=0))
 
 
 def log(seconds: float = 4.0, **more: object) -> np.ndarray:
     y = record(seconds)
-    np.savez("a.npz", b1x=y[:, 0], b2x=y[:, 1], rate_hz=RATE, started="2024-05-01T12:00:00Z", **more)  # type: ignore[arg-type]
+    np.savez("a.npz", b1x=y[:, 0], b2x=y[:, 1], rate_hz=RATE_HZ, started="2024-05-01T12:00:00Z", **more)  # type: ignore[arg-type]
     assert run("import a.npz --rig rig.toml --out a.mcap") == 0
     return y
 
@@ -123,7 +123,7 @@ def test_an_analysis_takes_the_part(folder: Path, capsys: pytest.CaptureFixture[
 def test_what_lies_outside_of_an_imported_part_is_not_checked(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
-    y, time = record(4.0), np.arange(20480) / RATE
+    y, time = record(4.0), np.arange(20480) / RATE_HZ
     y[100, 0], y[20000, 1], time[18000:] = np.nan, 9.9e37, time[18000:] + 3.0
     rows = [f"{t:.9f},{a:.9g},{b:.9g}" for t, (a, b) in zip(time, y, strict=True)]
     Path("a.csv").write_text("\n".join(["time,b1x,b2x", *rows]))
@@ -131,7 +131,7 @@ def test_what_lies_outside_of_an_imported_part_is_not_checked(
     assert run("import a.csv --rig rig.toml --out a.mcap --from 1 --to 3") == 0
     np.testing.assert_allclose(read_log("a.mcap").samples(), y[5120:15360], atol=1e-6)
     assert run("import a.csv --rig rig.toml --out a.mcap --from 6.9 --channels b1x") == 0
-    np.testing.assert_allclose(read_log("a.mcap").samples()[:, 0], y[round(3.9 * RATE) :, 0], atol=1e-6)
+    np.testing.assert_allclose(read_log("a.mcap").samples()[:, 0], y[round(3.9 * RATE_HZ) :, 0], atol=1e-6)
     capsys.readouterr()
     assert run("import a.csv --rig rig.toml --out b.mcap --from 4 --to 6") == 2
     assert "no sample lies from 4 s to 6 s" in capsys.readouterr().err
@@ -140,9 +140,9 @@ def test_what_lies_outside_of_an_imported_part_is_not_checked(
 
 def test_a_part_of_recorded_can_traffic(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("rig.toml").write_text(
-        RIG.replace("5120.0", "100.0").replace("= 2000.0", "= 40.0").replace("100.0\nh", "1.0\nh") + CAN
+        RIG_TEXT.replace("5120.0", "100.0").replace("= 2000.0", "= 40.0").replace("100.0\nh", "1.0\nh") + CAN_LINK_TEXT
     )
-    Path("a.dbc").write_text(DBC)
+    Path("a.dbc").write_text(DBC_TEXT)
     lines = [f"({1700000000 + k // 100}.{k % 100 * 10000:06d}) can0 100#{k:04X}{k + 1:04X}" for k in range(1000)]
     Path("a.log").write_text("\n".join(lines) + "\n")
     assert run("import a.log --rig rig.toml --out whole.mcap") == 0
@@ -188,7 +188,7 @@ def test_a_part_that_is_none_is_refused_in_one_line(
 
 def test_a_date_where_the_record_has_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     y = record(1.0)
-    np.savez("a.npz", b1x=y[:, 0], b2x=y[:, 1], rate_hz=RATE)
+    np.savez("a.npz", b1x=y[:, 0], b2x=y[:, 1], rate_hz=RATE_HZ)
     assert run("import a.npz --rig rig.toml --out a.mcap") == 0
     for command in ("info a.mcap", "fit a.npz --rig rig.toml"):
         capsys.readouterr()
@@ -201,4 +201,4 @@ def test_a_rig_without_some_channels_keeps_its_words(folder: Path) -> None:
     assert [c.name for c in rig.model.channels] == ["b1x"]
     assert rig.model.effects[0].at == ("bearing1.x",)
     assert "# both ends" in rig.text
-    assert of_channels(load_rig("rig.toml"), []).text == RIG
+    assert of_channels(load_rig("rig.toml"), []).text == RIG_TEXT
