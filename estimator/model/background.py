@@ -31,8 +31,6 @@ class StructuralMode:
 
     Parameters
     ----------
-    place : str
-        Such as "bearing1.x".
     form : {"support", "attached"}
         Under the bearing, or on the cap.
     mass : float
@@ -43,7 +41,6 @@ class StructuralMode:
         Damping ratio.
     """
 
-    place: str
     form: ModeForm
     mass: float
     frequency_hz: float
@@ -51,8 +48,28 @@ class StructuralMode:
 
     def denominator(self, s: NDArray[Any]) -> Complexes:
         """s^2 + 2 zeta w0 s + w0^2 at s (f,) rad/s."""
-        w0 = 2.0 * np.pi * self.frequency_hz
-        return np.asarray(s * s + 2.0 * self.damping * w0 * s + w0 * w0)
+        return np.asarray(s * s + self.damping_term(s) + self.w0**2)
+
+    @property
+    def w0(self) -> float:
+        """Natural frequency, rad/s."""
+        return 2.0 * np.pi * self.frequency_hz
+
+    def damping_term(self, s: NDArray[Any]) -> Complexes:
+        """2 zeta w0 s at s (f,) rad/s."""
+        return np.asarray(2.0 * self.damping * self.w0 * s, np.complex128)
+
+    def compliance(self, s: NDArray[Any]) -> Complexes:
+        """(f,) m/N, displacement of a support per force of the bearing at s (f,) rad/s; 0 of a part on the cap."""
+        if self.form != "support":
+            return np.zeros(s.shape, np.complex128)
+        return np.asarray(1.0 / (self.mass * self.denominator(s)), np.complex128)
+
+    def attached_stiffness(self, s: NDArray[Any]) -> Complexes:
+        """(f,) N/m, dynamic stiffness that a part adds to the cap at s (f,) rad/s; 0 of a support."""
+        if self.form != "attached":
+            return np.zeros(s.shape, np.complex128)
+        return np.asarray(self.mass * s * s * (self.w0**2 + self.damping_term(s)) / self.denominator(s), np.complex128)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +101,7 @@ class BearingBackground:
 
     def agrees_with(self, other: BearingBackground) -> bool:
         """Whether another background has the same modes, and a bearing as stiff and damped within its certainty."""
-        if [(m.form, m.place) for m in self.modes] != [(m.form, m.place) for m in other.modes]:
+        if [m.form for m in self.modes] != [m.form for m in other.modes]:
             return False
         stiffness_sd, damping_sd = np.hypot([self.stiffness_sd_rel, self.damping_sd_rel], MIN_CHANGE_REL)
         return bool(
@@ -95,17 +112,11 @@ class BearingBackground:
     def deflection(self, s: NDArray[Any]) -> Complexes:
         """(f,) deflection of the bearing per displacement of the cap at s (f,) rad/s."""
         D = self.stiffness + self.damping * s
-        yielding = sum(1.0 / (m.mass * m.denominator(s)) for m in self.modes if m.form == "support")
-        return np.asarray(1.0 / (1.0 + D * yielding), np.complex128)
+        return np.asarray(1.0 / (1.0 + D * sum(m.compliance(s) for m in self.modes)), np.complex128)
 
     def attached_stiffness(self, s: NDArray[Any]) -> Complexes:
         """(f,) N/m, dynamic stiffness that masses on the cap add at s (f,) rad/s."""
-        out = np.zeros(s.shape, np.complex128)
-        for m in self.modes:
-            if m.form == "attached":
-                w0 = 2.0 * np.pi * m.frequency_hz
-                out += m.mass * s * s * (w0 * w0 + 2.0 * m.damping * w0 * s) / m.denominator(s)
-        return out
+        return np.asarray(sum((m.attached_stiffness(s) for m in self.modes), np.zeros(s.shape, np.complex128)))
 
     def force_shape(self, f_hz: Array) -> Array:
         """(f,) spectrum of the force at f_hz over that of the model."""

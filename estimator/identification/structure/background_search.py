@@ -14,15 +14,14 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.background import Background, BearingBackground, ModeForm, StructuralMode
+from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
 
 from .cross_spectra import cross_spectra
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, products
-from .spectral_shape import one_cause_explains
+from .spectral_shape import MIN_UNKNOWN_DEPTH_RMS, spectra_are_explained
 
 MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
-MIN_MISFIT = 0.1  # rms of ln(measured / model), without a background: laws that a model lacks shape spectra by less
 MAX_MISFIT = 0.23  # rms of ln(measured / model) with a background, 1 dB: instruments have +-10 % (ISO 2954)
 MAX_MODES_PER_CAP = 6
 KNOT_OCTAVES = (2.0, 1.0)  # distances of the knots of the spectrum of the force, tried in turn
@@ -53,7 +52,7 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     data = point.data
     if data.measured_force or not np.all(point.kL > 0.0):
         return None
-    if model.background is None and one_cause_explains(model, point):
+    if model.background is None and spectra_are_explained(model, point):
         return None
     at: dict[str, BearingBackground] = {}
     for direction in dict.fromkeys(place[-1] for place in data.places):
@@ -72,7 +71,7 @@ def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) ->
         else:
             problem, found = known
             first, found = None, _pruned(problem, found, least)
-        if float(problem.misfit(found).max()) >= MIN_MISFIT:
+        if float(problem.misfit(found).max()) >= MIN_UNKNOWN_DEPTH_RMS:
             problem, found = _search(problem, found, least)
     except np.linalg.LinAlgError:
         return {}
@@ -92,11 +91,8 @@ def _problem(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> Join
 
     spectra = cross_spectra(data, point.force, places, response)
     s = 2j * np.pi * spectra.f_hz
-    D = point.mean_tangent[own][:, own]
-    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own]
-    caps = np.arange(len(own))
-    Z0 = shaft + D[..., 0] + s[:, None, None] * D[..., 1]
-    Z0[:, caps, caps] = shaft[:, caps, caps] + np.outer(s * s, data.mass[own])
+    across = point.mean_tangent[own][:, own] * (1.0 - np.eye(len(own)))[..., None]
+    Z0 = _shaft_and_masses(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
     laws = _law_response(point, spectra.f_hz)[:, own]
     shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
     return JointSpectrum(
@@ -110,11 +106,17 @@ def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int
     D = point.mean_tangent[own][:, own]
     bearings = D[..., 0] + s[:, None, None] * D[..., 1]
     np.einsum("fii->fi", bearings)[...] = point.kL[own] + s[:, None] * point.c[own] + _law_response(point, f_hz)[:, own]
-    Z = shaft_response(model, data.places, f_hz)[:, own][:, :, own] + (s * s)[:, None, None] * np.diag(data.mass[own])
+    Z = _shaft_and_masses(model, point, own, f_hz)
     if data.background is not None:
         bearings *= data.background.deflections(data.places, s)[:, None, own]
         np.einsum("fii->fi", Z)[...] += data.background.attached_stiffness(data.places, s)[:, own]
     return np.asarray((s * s)[:, None, None] * np.linalg.inv(Z + bearings), np.complex128)
+
+
+def _shaft_and_masses(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
+    """(f, caps, caps) N/m, dynamic stiffness of shaft, disc and cap masses at some places."""
+    shaft = shaft_response(model, point.data.places, f_hz)[:, own][:, :, own]
+    return np.asarray(shaft - ((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(point.data.mass[own]), np.complex128)
 
 
 def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
@@ -295,24 +297,19 @@ def _result(
     more = np.sqrt(np.maximum(whole - known, 0.0)).reshape(2, caps)
     f = np.geomspace(problem.spectra.f_hz[0], problem.spectra.f_hz[-1], SHAPE_KNOTS)
     for cap, i in enumerate(places):
-        modes = tuple(
-            StructuralMode(
-                place=point.data.places[i], form=mode.form, mass=float(np.exp(q[2]) * problem.mass[cap]),
-                frequency_hz=float(np.exp(q[0])), damping=float(np.exp(q[1])),
-            )
-            for mode, q in zip(values.modes, values.q, strict=True)
-            if mode.cap == cap
-        )  # fmt: skip
         ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
         psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
         tangent = problem.laws[:, cap]
-        yield point.data.places[i], BearingBackground(
-            modes=modes,
-            stiffness=float(np.exp(values.stiffness[cap]) + tangent.real.mean()),
-            damping=float(np.exp(values.damping[cap]) + (tangent / found.s).real.mean()),
-            f_hz=f,
-            psd_rel=psd,
-            knot_octaves=problem.octaves,
-            stiffness_sd_rel=float(more[0, cap]),
-            damping_sd_rel=float(more[1, cap]),
+        yield (
+            point.data.places[i],
+            BearingBackground(
+                modes=tuple(mode for at, mode in problem.modes(values) if at == cap),
+                stiffness=float(np.exp(values.stiffness[cap]) + tangent.real.mean()),
+                damping=float(np.exp(values.damping[cap]) + (tangent / found.s).real.mean()),
+                f_hz=f,
+                psd_rel=psd,
+                knot_octaves=problem.octaves,
+                stiffness_sd_rel=float(more[0, cap]),
+                damping_sd_rel=float(more[1, cap]),
+            ),
         )

@@ -12,12 +12,17 @@ from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.signals.band_limit import noise_shape
 
+from .excitation import (
+    MIN_LINE_REACH_BINS,
+    SIDELOBE_BINS,
+    TAPER_COUNT,
+    TAPER_EFFICIENCY,
+    first_of_cells,
+    sine_tapers,
+)
+
 CELL_WIDTH_REL = 0.004  # of its frequency: a third of the half-power width of a mode of 0.6 % damping
 PIECES_PER_RECORD = 12  # that the spectra are averaged over, at least
-TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
-TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
-LINE_SKIRT_BINS = 3.0  # beside a narrow line, that its tapered spectrum fills
-SIDELOBE_BINS = 1.5  # of a line as strong as the noise in a bin: side lobes fall with the distance^4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,17 +71,14 @@ def cross_spectra(
     pieces, size = _pieces(data)
     f: Array = np.asarray(np.arange(size // 2 + 1) * (data.rate_hz / size), np.float64)
     keep = np.flatnonzero(_judged(data, f))
-    k, row = np.arange(1, TAPER_COUNT + 1)[:, None], np.arange(1, size + 1)
-    tapers = np.sqrt(2.0 / (size + 1)) * np.sin(np.pi * k * row / (size + 1))
     S = np.zeros((keep.size, len(places), len(places)), np.complex128)
     for first in pieces:
-        for taper in tapers:
+        for taper in sine_tapers(size):
             F = rfft(force[list(places), first : first + size] * taper, axis=1)[:, keep].T
             S += F[:, :, None] * F[:, None, :].conj()
     T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * TAPER_COUNT * len(pieces)))
     S = T @ S @ T.conj().swapaxes(1, 2)
-    cell = np.floor(np.log(f[keep] / f[keep[0]]) / CELL_WIDTH_REL).astype(np.int64)
-    first_bins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
+    first_bins = first_of_cells(f[keep] / f[keep[0]], CELL_WIDTH_REL)
     bins = np.diff(np.append(first_bins, keep.size))
     centre = np.add.reduceat(f[keep], first_bins) / bins
     kinds = tuple(data.kinds[i] for i in places)
@@ -104,6 +106,6 @@ def _judged(data: MotionRecord, f: Array) -> Array:
     """(bins,) whether a bin at f Hz is in the band and beside no line."""
     inside = (f >= data.band[0]) & (f <= data.band[1])
     for line in data.lines:
-        skirt = f[1] * (LINE_SKIRT_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
+        skirt = f[1] * (MIN_LINE_REACH_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
         inside &= (f < line.low_hz - skirt) | (f > line.high_hz + skirt)
     return np.asarray(inside)

@@ -103,7 +103,7 @@ def cell_spectrum(
     keep = np.flatnonzero(inside & ~line)
     if keep.size < 32:
         return None
-    first = _first_of_cells(f[keep] / band[0])
+    first = first_of_cells(f[keep] / band[0], CELL_WIDTH_REL)
     bins = np.diff(np.append(first, keep.size))
     centre = np.add.reduceat(f[keep], first) / bins
     scale = (2.0 * np.pi * centre) ** (2 * KIND_ORDER[kind])
@@ -118,17 +118,22 @@ def cell_spectrum(
     )
 
 
-def _first_of_cells(ratio: Array) -> NDArray[np.intp]:
-    """(cells,) index of the first bin of each cell. ratio : frequency of each bin over the lower edge of the band."""
-    cell = np.floor(np.log(ratio) / CELL_WIDTH_REL).astype(np.intp)
+def first_of_cells(ratio: Array, width_rel: float) -> NDArray[np.intp]:
+    """(cells,) index of the first bin of each cell. ratio : frequency of each bin over where the first cell begins."""
+    cell = np.floor(np.log(ratio) / width_rel).astype(np.intp)
     return np.flatnonzero(np.append(True, np.diff(cell) > 0))
+
+
+def sine_tapers(size: int) -> Array:
+    """(tapers, size) tapers of unit energy, orthogonal to each other."""
+    k, row = np.arange(1, TAPER_COUNT + 1)[:, None], np.arange(1, size + 1)
+    return np.asarray(np.sqrt(2.0 / (size + 1)) * np.sin(np.pi * k * row / (size + 1)))
 
 
 def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
     """(bins,) mean PSD over the pieces, (bins,) logarithm of the mean over the pieces less the mean of the logarithm,
     averaged over the tapers, and (blocks, bins) PSD of up to sixteen groups of pieces."""
-    k = np.arange(1, TAPER_COUNT + 1)[:, None]
-    tapers = np.sqrt(2.0 / (pieces.size + 1)) * np.sin(np.pi * k * np.arange(1, pieces.size + 1) / (pieces.size + 1))
+    tapers = sine_tapers(pieces.size)
     block_of = np.repeat(np.arange(MAX_BLOCKS), [len(g) for g in np.array_split(np.arange(len(pieces)), MAX_BLOCKS)])
     blocks = np.zeros((min(len(pieces), MAX_BLOCKS), pieces.size // 2 + 1))
     done = 0

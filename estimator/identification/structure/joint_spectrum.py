@@ -12,7 +12,7 @@ maximum of their likelihood (Whittle 1953; Brillinger, Time Series, 1981, ch. 7)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from estimator.arrays import Array, Complexes
-from estimator.model.background import ModeForm
+from estimator.model.background import ModeForm, StructuralMode
 
 from .cross_spectra import CrossSpectra
 
@@ -161,12 +161,9 @@ class JointSpectrum:
         s = np.asarray(2j * np.pi * spectra.f_hz, np.complex128)
         D = np.exp(values.stiffness) + self.laws + s[:, None] * np.exp(values.damping)
         yielding, attached = np.zeros((2, *D.shape), np.complex128)
-        for mode, own in zip(values.modes, values.q, strict=True):
-            mass, w0, damp, den = self._mode(mode, own, s)
-            if mode.form == "support":
-                yielding[:, mode.cap] += 1.0 / (mass * den)
-            else:
-                attached[:, mode.cap] += mass * s * s * (w0 * w0 + damp) / den
+        for cap, mode in self.modes(values):
+            yielding[:, cap] += mode.compliance(s)
+            attached[:, cap] += mode.attached_stiffness(s)
         B = D / (1.0 + D * yielding)
         Z = self.Z0.copy()
         Z[:, caps, caps] += B + attached
@@ -188,11 +185,11 @@ class JointSpectrum:
             values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
         )  # fmt: skip
 
-    def _mode(self, mode: ModePlace, q: Array, s: Complexes) -> tuple[float, float, Complexes, Complexes]:
-        """Mass, natural frequency in rad/s, 2 zeta w0 s and denominator of a mode."""
-        w0, mass = 2.0 * np.pi * np.exp(q[0]), float(np.exp(q[2]) * self.mass[mode.cap])
-        damp = 2.0 * np.exp(q[1]) * w0 * s
-        return mass, float(w0), damp, s * s + damp + w0 * w0
+    def modes(self, values: JointValues) -> Iterator[tuple[int, StructuralMode]]:
+        """Number of its cap and structural mode, one after another."""
+        for where, (f_hz, damping, ratio) in zip(values.modes, np.exp(values.q).tolist(), strict=True):
+            mass = ratio * float(self.mass[where.cap])
+            yield where.cap, StructuralMode(form=where.form, mass=mass, frequency_hz=f_hz, damping=damping)
 
     def by_stiffness(self, point: JointPoint) -> list[Complexes]:
         """(cells, caps, caps) by cap: half of the derivative of whitened Sigma by the dynamic stiffness at the cap.
@@ -221,16 +218,16 @@ class JointSpectrum:
 
         out += [by(i, series[:, i] * np.exp(values.stiffness[i])) for i in caps]
         out += [by(i, series[:, i] * s * np.exp(values.damping[i])) for i in caps]
-        for mode, q in zip(values.modes, values.q, strict=True):
-            mass, w0, damp, den = self._mode(mode, q, s)
-            d_frequency = damp + 2.0 * w0 * w0
+        for cap, mode in self.modes(values):
+            damp, den = mode.damping_term(s), mode.denominator(s)
+            d_frequency = damp + 2.0 * mode.w0**2
             if mode.form == "support":
-                through = point.B[:, mode.cap] ** 2 / (mass * den * den)
-                out += [by(mode.cap, through * dz) for dz in (d_frequency, damp, den)]
+                through = point.B[:, cap] ** 2 / (mode.mass * den * den)
+                out += [by(cap, through * dz) for dz in (d_frequency, damp, den)]
             else:
-                top, per = w0 * w0 + damp, mass * s * s / den**2
+                top, per = mode.w0**2 + damp, mode.mass * s * s / den**2
                 for dz in (d_frequency * (den - top), damp * (den - top), top * den):
-                    out.append(by(mode.cap, per * dz))
+                    out.append(by(cap, per * dz))
         return np.array(out)
 
     def score(self, point: JointPoint) -> tuple[Array, Array]:

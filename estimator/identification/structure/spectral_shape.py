@@ -70,15 +70,13 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     return out + _find_shared_force(model, point)
 
 
-def one_cause_explains(model: Model, point: WorkingPoint) -> bool:
-    """Whether one cause of the catalogue explains the spectral shapes of all locations that have one."""
+def spectra_are_explained(model: Model, point: WorkingPoint) -> bool:
+    """Whether no location has a spectral shape, or one cause of the catalogue explains all of them."""
     found = find_spectral_shapes(model, point)
     shaped = {place for f in found for place in f.power_N2 if is_cause_of_spectrum(f.effect)}
-    for effect in {f.effect for f in found}:
-        explained = {p for f in found if f.effect == effect and f.explained_share > EXPLAINED_SHARE for p in f.power_N2}
-        if explained and explained >= shaped:
-            return True
-    return False
+    full = [f for f in found if f.explained_share > EXPLAINED_SHARE]
+    explained = [{p for f in full if f.effect == effect for p in f.power_N2} for effect in {f.effect for f in full}]
+    return not shaped or any(own >= shaped for own in explained)
 
 
 def _same_cause_elsewhere(

@@ -13,8 +13,8 @@ from estimator.model.background import BearingBackground, StructuralMode
 
 RATE_HZ = 8192.0
 MASS, STIFFNESS, DAMPING = 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
-SUPPORT = StructuralMode(place="bearing1.x", form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
-PART = StructuralMode(place="bearing1.x", form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
+SUPPORT = StructuralMode(form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
+PART = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
 
 
 def record_with_modes(seconds: float) -> np.ndarray:
@@ -82,8 +82,8 @@ def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
 def test_a_stiff_support_is_no_support_and_a_part_far_above_is_mass() -> None:
     f = np.array([100.0])
     s = 2j * np.pi * f
-    rigid = StructuralMode(place="bearing1.x", form="support", mass=1e6, frequency_hz=400.0, damping=0.01)
-    light = StructuralMode(place="bearing1.x", form="attached", mass=0.1, frequency_hz=1e5, damping=0.01)
+    rigid = StructuralMode(form="support", mass=1e6, frequency_hz=400.0, damping=0.01)
+    light = StructuralMode(form="attached", mass=0.1, frequency_hz=1e5, damping=0.01)
     own = BearingBackground(
         modes=(rigid, light), stiffness=1e7, damping=10.0, f_hz=np.array([50.0, 500.0]), psd_rel=np.ones(2)
     )
