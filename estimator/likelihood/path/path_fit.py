@@ -221,9 +221,12 @@ def fit_increments(
         j1, j2 = jacobian.derivatives(tangents, delta)
         slope = 2 * GB[:, 1:] / S[:, None]
         gradient = -slope.sum(axis=0) + B * j1 - penalty * delta
-        H = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
-        H -= slope.T @ (slope / n[:, None])  # S follows the increments
+        at_fixed_S = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
+        H = at_fixed_S - slope.T @ (slope / n[:, None])  # S follows the increments
         step = _solve(H, gradient, min_information)
+        if not _is_positive(H):
+            other = _solve(at_fixed_S, gradient, min_information)
+            step = max(step, other, key=lambda tried: objective(delta + tried))
         size, new = 1.0, -np.inf
         while size > 1e-3:
             new = objective(delta + size * step)
@@ -240,6 +243,12 @@ def fit_increments(
     S = np.einsum("a,iab,b->i", b, G, b) / n
     value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
     return PathFit(names=gram.names, delta=delta, covariance=_inverse(H), S=S, log_likelihood=value, scales=gram.scales)
+
+
+def _is_positive(H: Array) -> bool:
+    """Whether a curvature is positive along every direction: far from a maximum it need not be."""
+    d = np.diag(H)
+    return bool(np.all(d > 0.0)) and bool(np.linalg.eigvalsh(H / np.sqrt(np.multiply.outer(d, d)))[0] > 0.0)
 
 
 def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:

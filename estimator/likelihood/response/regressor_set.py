@@ -225,8 +225,8 @@ PROJECTION_STRIDE = 4  # every so manyth sample gives the weights of the project
 
 
 def span_at(base: Sequence[Regressor], i: int) -> Span:
-    """Span of the base regressors at place i."""
-    own = tuple(b for b in base if i in b.series)
+    """Span of the base regressors at place i, without a mass: its response is no tangent."""
+    own = tuple(b for b in base if i in b.series and b.mass_at is None)
     part = np.stack([(b.series[i][::PROJECTION_STRIDE] * b.scale).astype(np.float32) for b in own])
     wide = part.astype(np.float64)
     more = next((b.memory[i] for b in own if i in b.memory), None)
