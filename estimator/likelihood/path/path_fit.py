@@ -225,8 +225,7 @@ def fit_increments(
         H = at_fixed_S - slope.T @ (slope / n[:, None])  # S follows the increments
         step = _solve(H, gradient, min_information)
         if not _is_positive(H):
-            other = _solve(at_fixed_S, gradient, min_information)
-            step = max(step, other, key=lambda tried: objective(delta + tried))
+            step = max(step, _solve(at_fixed_S, gradient, min_information), key=lambda z: objective(delta + z))
         size, new = 1.0, -np.inf
         while size > 1e-3:
             new = objective(delta + size * step)
