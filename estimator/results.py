@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,7 +38,7 @@ def messages_json(messages: Sequence[Message]) -> dict[str, list[str]]:
     return {"messages": [m.text for m in messages], "message_codes": [m.code for m in messages]}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SharedValue:
     """One value of a law's parameter for several places: their mean, weighted by precision.
 
@@ -156,6 +156,7 @@ class Fit:
     log_likelihood: float | None
     samples: int
     method: str
+    _: KW_ONLY
     messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -201,6 +202,7 @@ class Parameter:
     sd: float | None
     unit: str
     identifiable: bool = True
+    _: KW_ONLY
     reason: str = ""
 
     @classmethod
@@ -218,7 +220,7 @@ class Parameter:
         """
         if np.isfinite(value) and np.isfinite(sd) and sd <= limit * abs(value):
             return cls(float(value), float(sd), unit)
-        return cls(None, None, unit, False, f"relative standard deviation over {100 * limit:.0f} %")
+        return cls(None, None, unit, False, reason=f"relative standard deviation over {100 * limit:.0f} %")
 
     def to_json(self) -> dict[str, Any]:
         """The parameter as the JSON results have it: `reason` only where there is one."""
@@ -273,6 +275,7 @@ class Estimate:
     parameters: Mapping[str, Parameter]
     samples: float
     log_likelihood: float | None = None
+    _: KW_ONLY
     status: str = "ok"
     extra: Mapping[str, float] | None = None
 

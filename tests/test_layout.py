@@ -35,7 +35,7 @@ ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.p
 EFFECT_NAMING_FILES = 0  # files of estimator/ outside effects/ with an effect's name in a string: none is the aim
 ONE_WORD_CONSTANTS = {"estimator": 0, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
 SAME_OPENINGS = 0  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 0  # constructions of classes in estimator/ with more than four positional arguments: none
+POSITIONAL_CALLS = 0  # constructions of classes with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",
@@ -103,13 +103,32 @@ def positional_calls() -> list[str]:
     """Constructions of classes with more than four positional arguments."""
     return [
         f"{path.relative_to(ROOT)}:{node.lineno}"
-        for path, tree in sources("estimator").items()
+        for package in PACKAGES
+        for path, tree in sources(package).items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Name)
-        and re.fullmatch(r"[A-Z][a-z]\w*", node.func.id)
+        and re.fullmatch(r"_?[A-Z][a-z]\w*|cls", getattr(node.func, "id", getattr(node.func, "attr", "")))
         and len(node.args) > 4
     ]
+
+
+def positional_fields() -> list[str]:
+    """Dataclasses that can be constructed with more than four arguments by position."""
+    return [
+        f"{path.relative_to(ROOT)}: {node.name}"
+        for package in PACKAGES
+        for path, tree in sources(package).items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        and any("dataclass" in (text := ast.unparse(d)) and "kw_only=True" not in text for d in node.decorator_list)
+        and len(_fields_by_position(node)) > 4
+    ]
+
+
+def _fields_by_position(node: ast.ClassDef) -> list[str]:
+    """Annotations of the fields before `_: KW_ONLY`."""
+    kinds = [ast.unparse(line.annotation) for line in node.body if isinstance(line, ast.AnnAssign)]
+    return [kind for kind in kinds[: kinds.index("KW_ONLY") if "KW_ONLY" in kinds else None] if "ClassVar" not in kind]
 
 
 def repeated() -> list[str]:
@@ -227,6 +246,7 @@ SHRINKING = {
     "constants of one word in drivers": (lambda: one_word("drivers"), ONE_WORD_CONSTANTS["drivers"]),
     "openings with 'The same'": (same_openings, SAME_OPENINGS),
     "more than four positional arguments": (positional_calls, POSITIONAL_CALLS),
+    "more than four fields by position": (positional_fields, POSITIONAL_CALLS),
     "repeated functions": (repeated, REPEATED),
 }
 

@@ -31,7 +31,7 @@ FRAME_TITLES = frozenset({"id", "identifier", "can id", "canid", "arbitration_id
 MOST_MISSING = 1_000_000  # samples in the holes of a record, beyond a hundred for each that is there
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
     """Checked columns in the rig's order, as the file holds them; SI = value * factors[channel] + offsets[channel].
 

@@ -70,7 +70,15 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
     time_name = _time_name(file, first, places[first][1])
     begun = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
     started = round(begun * 1e6) * 1000 if begun > OLDEST_S else None
-    return Found({n: _valid(s) for n, s in signals.items()} | others, [], time, units, time_name, started, twice)
+    return Found(
+        values={n: _valid(s) for n, s in signals.items()} | others,
+        rates=[],
+        time=time,
+        units=units,
+        time_name=time_name,
+        started=started,
+        twice=twice,
+    )
 
 
 def _valid(signal: Any) -> NDArray[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import MappingProxyType
@@ -57,6 +57,7 @@ class Columns:
     rate_hz: float | None = None
     time: Column | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    _: KW_ONLY
     full_scale_counts: int | None = None
     odd: str = ""
     started_ns: int | None = None

@@ -7,7 +7,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -44,6 +44,7 @@ class _Table:
     titles: list[str]
     units: list[str]
     delimiter: str
+    _: KW_ONLY
     line: int
     wanted: list[int] = field(default_factory=list)
     time: int | None = None
@@ -154,7 +155,7 @@ def _titles(path: Path, line: str, number: int, head: _Head) -> _Table:
     cells = [titled(c) for c in _split(line, delimiter)]
     while len(cells) > 1 and not any(cells[-1]):
         cells.pop()
-    return _Table(path, [c[0] for c in cells], [c[1] for c in cells], delimiter, number + 1)
+    return _Table(path, [c[0] for c in cells], [c[1] for c in cells], delimiter, line=number + 1)
 
 
 def _is_row(table: _Table, line: str, names: Sequence[str]) -> bool:

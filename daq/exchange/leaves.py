@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ class Found:
     rates: list[tuple[str, float]] = field(default_factory=list)
     time: NDArray[Any] | None = None
     units: dict[str, str] = field(default_factory=dict)
+    _: KW_ONLY
     time_name: str = "time"
     started: int | str | None = None
     twice: dict[str, str] = field(default_factory=dict)
@@ -109,7 +110,16 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
         time_name = f"{time_name} [{unit}]" if unit else time_name
         if time.dtype.kind not in "iufM":
             time = None if rates else time
-    return Found(values | others, rates, time, units, time_name, started, twice, "; ".join(odd))
+    return Found(
+        values=values | others,
+        rates=rates,
+        time=time,
+        units=units,
+        time_name=time_name,
+        started=started,
+        twice=twice,
+        odd="; ".join(odd),
+    )
 
 
 def _beneath(paths: Iterable[str], of: str, separator: str) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +36,7 @@ class Measurement:
     rate_hz: float
     facts: dict[str, str]
     started: datetime | None = None
+    _: KW_ONLY
     from_s: float | None = None
 
 
@@ -64,7 +65,7 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
         note(f"{path}: {len(y) / rate_hz:.6g} s from {from_s:.6g} s on are read; times that are said count from there")
     if started is not None:
         facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
-    return Measurement(y, rate_hz, facts, started, from_s)
+    return Measurement(y, rate_hz, facts, started, from_s=from_s)
 
 
 def _dtype(log: Recording, rig: Rig) -> type[np.float64] | type[np.float32]:

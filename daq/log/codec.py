@@ -86,7 +86,7 @@ def encode_blocks(blocks: Sequence[Block]) -> bytes:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RawBlock:
     """A decoded Block message: `counts` (rows, channels) int16 or int32, read-only, and the parts' times."""
 
@@ -126,7 +126,13 @@ def decode_block(data: bytes) -> RawBlock:
         raise ValueError(f"block at {m.index} says {m.rows} x {m.channels} x {m.width} bytes, holds {len(m.counts)}")
     kind: Any = "<i2" if m.width == 2 else "<i4"
     counts = np.frombuffer(m.counts, kind).reshape(m.rows, m.channels)
-    return RawBlock(m.index, counts, m.part_rows, m.part_host_ns, m.part_device_ns)
+    return RawBlock(
+        index=m.index,
+        counts=counts,
+        part_rows=m.part_rows,
+        part_host_ns=m.part_host_ns,
+        part_device_ns=m.part_device_ns,
+    )
 
 
 def encode_gap(gap: Gap) -> bytes:

@@ -75,7 +75,13 @@ def cut(block: RawBlock, first: int, stop: int, rate_hz: float) -> RawBlock:
             if len(block.part_device_ns):
                 device.append(block.part_device_ns[number] + round((a - index) * period_ns))
         index += count
-    return RawBlock(first, block.counts[first - block.index : stop - block.index], rows, host, device)
+    return RawBlock(
+        index=first,
+        counts=block.counts[first - block.index : stop - block.index],
+        part_rows=rows,
+        part_host_ns=host,
+        part_device_ns=device,
+    )
 
 
 def _on_host(

@@ -31,7 +31,7 @@ MOST_EVENTS = 2_000_000  # gaps, notices, estimates, damage: a few kB of a hosti
 LARGEST_SAMPLES = 64 << 30  # bytes of samples() or counts() that we are willing to allocate
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """A log. Its samples are read from the file when they are asked for.
 

@@ -44,7 +44,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Findings:
     """What a scan learns besides the messages. damage : one line each, for the user."""
 
@@ -191,14 +191,14 @@ def _record(file: BinaryIO, at: int, size: int) -> _Record:
     """The head of the record at `at`; opcode 0 if there is no whole one."""
     head = _at(file, at, HEADS_BYTES)
     if len(head) < RECORD_STRUCT.size:
-        return _Record(head, 0, 0, size + 1, None)
+        return _Record(head, 0, 0, size + 1, packed=None)
     op, length = RECORD_STRUCT.unpack_from(head)
     packed = None
     if len(head) == HEADS_BYTES and head[SIGNATURE_AT : SIGNATURE_AT + len(ZSTD_SIGNATURE)] == ZSTD_SIGNATURE:
         (said,) = SIZE_STRUCT.unpack_from(head, HEADS_BYTES - SIZE_STRUCT.size)
         alike = op == CHUNK_OPCODE or length == HEADS_BYTES - RECORD_STRUCT.size + said
         packed = said if alike and said <= min(MAX_CHUNK_BYTES, size - at - HEADS_BYTES) else None
-    return _Record(head, op, length, at + RECORD_STRUCT.size + length, packed)
+    return _Record(head, op, length, at + RECORD_STRUCT.size + length, packed=packed)
 
 
 def _other(

@@ -78,7 +78,7 @@ def effects_of(
             own = customs[name]
             law, possible, wrong = _law(own, model, base)
             problems += [Problem((*path, *where.split(".")), text) for where, text in wrong]
-            reader = _Reader(path, tuple(law.units), possible, channels, problems)
+            reader = _Reader(path, tuple(law.units), possible, channels, problems=problems)
             values = reader.read({"at": own.at} if own.at else {})
             for settings_there in values.values():
                 settings_there |= {k: setting(p) for k, p in own.parameters.items() if k in law.units}
@@ -93,7 +93,7 @@ def effects_of(
                 problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
             elif effect.turns and not _turning(model):
                 problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_NO_SHAFT_ANGLE}'))
-            reader = _Reader(("model", name), parameters, possible, channels, problems)
+            reader = _Reader(("model", name), parameters, possible, channels, problems=problems)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
 
@@ -166,6 +166,7 @@ class _Reader:
         parameters: tuple[str, ...],
         places: tuple[str, ...],
         channels: Mapping[str, str],
+        *,
         problems: list[Problem],
     ) -> None:
         self.path, self.parameters, self.places = path, parameters, places

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cache, cached_property
 from math import radians
 from pathlib import Path
@@ -43,6 +43,7 @@ class Rig:
     base: Path
     path: Path | None
     file: RigFile
+    _: KW_ONLY
     model: Model
 
     @classmethod
@@ -65,7 +66,7 @@ class Rig:
             lines = line_numbers(text)
             problems.sort(key=lambda problem: problem.line_number(lines))
             raise ConfigError("\n".join(dict.fromkeys(problem.line(where, lines) for problem in problems)))
-        return cls(text, base, path, file, model)
+        return cls(text, base, path, file, model=model)
 
     @property
     def acquisition(self) -> AcquisitionTable | None:

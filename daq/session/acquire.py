@@ -7,7 +7,7 @@ import gc
 import platform
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -302,6 +302,7 @@ class Device:
     rig: Rig
     driver: Driver
     sinks: Sequence[Sink]
+    _: KW_ONLY
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -42,7 +42,7 @@ CHILD_S = 120.0
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
     """What the model lacks in these samples. known : effects found before, with their places."""
 

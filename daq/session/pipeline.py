@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -51,6 +51,7 @@ class Plan:
     make: MakeEstimator | None = None
     rate_hz: float | None = None
     device: str = ""
+    _: KW_ONLY
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
     limit_s: float | None = None

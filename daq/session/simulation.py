@@ -97,7 +97,9 @@ class Analogue:
     columns : which channel of the model each one is. An axial one (z) has noise alone: the model does not move so.
     """
 
-    def __init__(self, model: Model, columns: list[int], noise: NDArray[np.float64], rate_hz: float, seed: int) -> None:
+    def __init__(
+        self, model: Model, columns: list[int], noise: NDArray[np.float64], rate_hz: float, *, seed: int
+    ) -> None:
         from estimator.simulation import Simulator
 
         moving = [i for i, c in enumerate(model.channels) if c.direction != "z"]
@@ -150,7 +152,7 @@ def machine(
         if channel.kind == "tacho":
             full_scale[k], noise[k] = 2.0, 0.0
     names = tuple(c.name for c in rig.model.channels)
-    analogue = Analogue(model, columns, noise, rate_hz, seed)
+    analogue = Analogue(model, columns, noise, rate_hz, seed=seed)
     fields: dict[str, object] = {"seconds": seconds, "seed": seed} | dict(config or {})
     try:
         device = DeviceConfig(

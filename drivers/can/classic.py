@@ -68,7 +68,8 @@ class ClassicWindow:
             return None
         n = len(counts)
         return SampleFrames(
-            (start[0] + place) % SYNC_MODULUS, SYNC_MODULUS, np.zeros(n, np.uint8), np.full(n, epoch, np.uint8),
-            (start[2] + np.round(place * (1e6 / rate_hz)).astype(np.int64)) % protocol.TIME_MODULUS_US,
-            protocol.TIME_MODULUS_US, counts.reshape(n, 1, channels),
+            position=(start[0] + place) % SYNC_MODULUS, modulus=SYNC_MODULUS, lost=np.zeros(n, np.uint8),
+            epoch=np.full(n, epoch, np.uint8),
+            time_us=(start[2] + np.round(place * (1e6 / rate_hz)).astype(np.int64)) % protocol.TIME_MODULUS_US,
+            time_modulus=protocol.TIME_MODULUS_US, counts=counts.reshape(n, 1, channels),
         )  # fmt: skip

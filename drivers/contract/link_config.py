@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +21,7 @@ class CanConfig:
     channel: str
     bitrate: int | None = None
     fd: bool = True
+    _: KW_ONLY
     data_bitrate: int | None = None
     base_id: int = 0x300
     options: Mapping[str, str | int] = field(default_factory=dict)
@@ -38,6 +39,7 @@ class SlcanConfig:
     bitrate: int = 1_000_000
     data_bitrate: int | None = None
     baud: int = 3_000_000
+    _: KW_ONLY
     base_id: int = 0x300
     setup: bool = True
 

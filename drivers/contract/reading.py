@@ -95,7 +95,7 @@ class Notice:
 Reading = Info | Block | Gap | Notice
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class LinkStats:
     """Running totals of a link since it was opened; only ever grow.
 

@@ -32,14 +32,14 @@ class Capture:
 
     def __init__(
         self, config: CaptureConfig, stats: LinkStats, dbc: bytes | None, signals: Mapping[str, str] | None,
-        expected: Expected | None,
+        *, expected: Expected | None,
     ) -> None:  # fmt: skip
         self.stats = stats
         self.target = config.target
         self._config = config
         self._mapped = None
         if dbc is not None and signals is not None:
-            self._mapped = MappedDecoder(stats, dbc, signals, expected, config.rate_hz, recorded=True)
+            self._mapped = MappedDecoder(stats, dbc, signals, expected, rate_hz=config.rate_hz, recorded=True)
         self._direct = CanDecoder(stats, expected=expected)
         self._decoder = self._mapped or self._direct
         self._batches: Batches | None = None

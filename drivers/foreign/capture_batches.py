@@ -74,7 +74,7 @@ class Batches(Protocol):
     def close(self) -> None: ...
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Collector:
     """Frames and damage, one after the other, into batches."""
 

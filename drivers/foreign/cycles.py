@@ -7,7 +7,7 @@ frame of another instant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,14 @@ class Timing:
     rank: I64Array
     lag_ns: I64Array
     apart_ns: float | None
+    _: KW_ONLY
     late_ns: float | None
 
     @classmethod
     def unknown(cls) -> Timing:
         """Before any frame."""
         empty = np.empty(0, np.int64)
-        return cls((), empty, empty, None, None)
+        return cls((), empty, empty, None, late_ns=None)
 
     @classmethod
     def learn(cls, which: I64Array, t_ns: I64Array, messages: int) -> Timing:
@@ -70,10 +71,10 @@ class Timing:
         lag = np.array([_median(behind[of == m], 0.0) for m in range(messages)]).astype(np.int64)
         period = periods[opener]
         if period is None or not period.exact:
-            return cls(periods, rank, lag, None, None)
+            return cls(periods, rank, lag, None, late_ns=None)
         others = max((pause[m] for m in range(messages) if m != opener), default=0.0)
         short = float(lag.max()) < LONGEST_ROW_SHARE * period.ns and pause[opener] > others
-        return cls(periods, rank, lag, 0.5 * (pause[opener] + others) if short else None, 0.5 * period.ns)
+        return cls(periods, rank, lag, 0.5 * (pause[opener] + others) if short else None, late_ns=0.5 * period.ns)
 
     def unlike(self) -> tuple[int, int, float] | None:
         """The two messages whose periods differ most, and by how much: (faster, slower, relative); None if none do."""

@@ -65,7 +65,7 @@ class MappedDecoder:
 
     def __init__(
         self, stats: LinkStats, dbc: bytes, signals: Mapping[str, str], expected: Expected | None = None,
-        rate_hz: float | None = None, recorded: bool = False,
+        *, rate_hz: float | None = None, recorded: bool = False,
     ) -> None:  # fmt: skip
         self.stats = stats
         self.notices = Notices()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,16 +43,17 @@ class Bits:
     count: int
     shift: int
     length: int
+    _: KW_ONLY
     big_endian: bool
 
     @classmethod
     def of(cls, start: int, length: int, big_endian: bool) -> Bits:
         """start : as in the DBC (the least significant bit, or the most significant one if big endian)."""
         if not big_endian:
-            return cls(start // 8, (start % 8 + length + 7) // 8, start % 8, length, False)
+            return cls(start // 8, (start % 8 + length + 7) // 8, start % 8, length, big_endian=False)
         begin = 8 * (start // 8) + 7 - start % 8
         end = begin + length
-        return cls(begin // 8, (end + 7) // 8 - begin // 8, -end % 8, length, True)
+        return cls(begin // 8, (end + 7) // 8 - begin // 8, -end % 8, length, big_endian=True)
 
     def read(self, payload: U8Array) -> U64Array:
         """(n, 64) payloads -> (n,) field values."""
@@ -69,7 +70,7 @@ class Bits:
         return value if self.length == 64 else value & np.uint64((1 << self.length) - 1)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
     """One signal: counts and whether they mean anything.
 

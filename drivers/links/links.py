@@ -129,7 +129,7 @@ def make_driver(
     if isinstance(config, CaptureConfig):
         from drivers.foreign.capture import Capture
 
-        return Capture(config, stats, dbc, signals, expected)
+        return Capture(config, stats, dbc, signals, expected=expected)
     raise LinkError(f"replay:{config.path}: a replay is made from the log, by the log reader")
 
 

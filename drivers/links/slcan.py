@@ -34,7 +34,7 @@ def slcan_source(config: SlcanConfig) -> PortSource:
             raise LinkOpenError(f"{config.target}: slcan has no data_bitrate {config.data_bitrate}; it has {known}")
         commands.append(DATA_BITRATES[config.data_bitrate])
     hello = "".join(command + "\r" for command in [*commands, "O"]).encode()
-    return PortSource(config.target, config.port, config.baud, hello, b"C\r")
+    return PortSource(config.target, config.port, config.baud, hello, goodbye=b"C\r")
 
 
 class SlcanDecoder:

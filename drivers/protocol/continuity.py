@@ -28,7 +28,7 @@ SLACK_S, SLACK_SHARE = 2e-4, 0.25  # of a stamp; of a frame
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Anchor:
     """The last frame that was accepted."""
 

@@ -6,7 +6,7 @@ carries that index's low part, so that position, gaps and wraps all live on one 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ I32Array = NDArray[np.int32]
 I64Array = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """One way of packing samples.
 
@@ -55,11 +55,11 @@ class Layout:
         return self.counter * self.rows(channels)
 
 
-FD16_LAYOUT = Layout("fd16", 1, 16, 8, 1 << 16, 8)
-FD24_LAYOUT = Layout("fd24", 2, 24, 4, 1 << 16, 8)
-CLASSIC_LAYOUT = Layout("classic", 3, 15, 0, 16, 4)
-SERIAL16_LAYOUT = Layout("serial16", 4, 16, 24, 1, 64)
-SERIAL24_LAYOUT = Layout("serial24", 5, 24, 24, 1, 64)
+FD16_LAYOUT = Layout(name="fd16", code=1, bits=16, header=8, counter=1 << 16, max_channels=8)
+FD24_LAYOUT = Layout(name="fd24", code=2, bits=24, header=4, counter=1 << 16, max_channels=8)
+CLASSIC_LAYOUT = Layout(name="classic", code=3, bits=15, header=0, counter=16, max_channels=4)
+SERIAL16_LAYOUT = Layout(name="serial16", code=4, bits=16, header=24, counter=1, max_channels=64)
+SERIAL24_LAYOUT = Layout(name="serial24", code=5, bits=24, header=24, counter=1, max_channels=64)
 LAYOUT_OF_NAME = {
     layout.name: layout for layout in (FD16_LAYOUT, FD24_LAYOUT, CLASSIC_LAYOUT, SERIAL16_LAYOUT, SERIAL24_LAYOUT)
 }
@@ -96,7 +96,7 @@ def flags_epoch(flags: U8Array) -> U8Array:
     return np.asarray(flags >> 4, np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SampleFrames:
     """Frames of one layout, in the order of arrival, decoded but not yet placed on the index axis.
 
@@ -136,8 +136,9 @@ def unpack_fd16(payload: U8Array, channels: int) -> SampleFrames:
     body = payload[:, 8 : 8 + 2 * rows * channels]
     counts = np.ascontiguousarray(body).view("<i2").astype(np.int32).reshape(n, rows, channels)
     return SampleFrames(
-        head["seq"].astype(np.int64) * rows, FD16_LAYOUT.modulus(channels), head["lost"], flags_epoch(head["flags"]),
-        head["time"].astype(np.int64), TIME_MODULUS_US, counts,
+        position=head["seq"].astype(np.int64) * rows, modulus=FD16_LAYOUT.modulus(channels), lost=head["lost"],
+        epoch=flags_epoch(head["flags"]),
+        time_us=head["time"].astype(np.int64), time_modulus=TIME_MODULUS_US, counts=counts,
     )  # fmt: skip
 
 
@@ -172,8 +173,9 @@ def unpack_fd24(payload: U8Array, channels: int) -> SampleFrames:
     head = np.ascontiguousarray(payload[:, :4]).view(_FD24_HEAD)[:, 0]
     counts = unpack_int24(payload[:, 4 : 4 + 3 * rows * channels]).reshape(n, rows, channels)
     return SampleFrames(
-        head["seq"].astype(np.int64) * rows, FD24_LAYOUT.modulus(channels), head["lost"], flags_epoch(head["flags"]),
-        None, TIME_MODULUS_US, counts,
+        position=head["seq"].astype(np.int64) * rows, modulus=FD24_LAYOUT.modulus(channels), lost=head["lost"],
+        epoch=flags_epoch(head["flags"]),
+        time_us=None, time_modulus=TIME_MODULUS_US, counts=counts,
     )  # fmt: skip
 
 
@@ -233,6 +235,7 @@ class InfoRecord:
     channels: int
     channel: int
     count_bits: int
+    _: KW_ONLY
     serial_number: int
     rate_hz: float
     signal: Signal

@@ -6,7 +6,7 @@ description wait until their counters and clock have said how fast they come.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class StatedRate:
     rig_hz: float | None
     info: Info | None = None  # that waits
     _held: list[SampleFrames] = field(default_factory=list)
+    _: KW_ONLY
     _marks: list[tuple[int, int]] = field(default_factory=list)
     _begun_ns: int = 0
     _modulus: int = 1

@@ -20,7 +20,7 @@ CONNECT_S = 2.0
 class PortSource:
     """Bytes of one port. hello, goodbye : sent after opening and before closing (slcan's commands)."""
 
-    def __init__(self, target: str, port: str, baud: int, hello: bytes = b"", goodbye: bytes = b"") -> None:
+    def __init__(self, target: str, port: str, baud: int, hello: bytes = b"", *, goodbye: bytes = b"") -> None:
         self.exhausted = False
         self._target = target
         self._name = port

@@ -121,8 +121,9 @@ class SerialDecoder:
         else:
             counts = protocol.unpack_int24(body)
         frames = SampleFrames(
-            head["index"].astype(np.int64), NO_MODULUS, head["lost"], protocol.flags_epoch(head["flags"]),
-            head["time"].astype(np.int64), NO_MODULUS, counts.reshape(n, rows, channels),
+            position=head["index"].astype(np.int64), modulus=NO_MODULUS, lost=head["lost"],
+            epoch=protocol.flags_epoch(head["flags"]),
+            time_us=head["time"].astype(np.int64), time_modulus=NO_MODULUS, counts=counts.reshape(n, rows, channels),
         )  # fmt: skip
         decided, held = self._rate.admit(frames, t_host_ns)
         if decided is not None:

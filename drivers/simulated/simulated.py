@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ class DeviceConfig:
     channels: tuple[str, ...]
     units: tuple[str, ...] = ()
     full_scale: float | tuple[float, ...] = 490.5
+    _: KW_ONLY
     layout: str = "fd16"
     count_bits: int | None = None
     rows: int = 64

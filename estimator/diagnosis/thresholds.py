@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Thresholds:
     """Every threshold by quantity and unit. rel : share of an rms force. Origin: docs/diagnosis-measured.md."""
 

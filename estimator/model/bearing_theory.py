@@ -38,7 +38,7 @@ class Quadratic:
     error_percent: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Curve:
     """Stiffness at one preload (m). x, force, tangent, secant : (n,) m, N, N/m, N/m. kL : tangent at x = 0, N/m;
     kNL : coefficient of x^3 in the force at x = 0, N/m^3 (None with clearance, where the force has no such term)."""
@@ -54,7 +54,7 @@ class Curve:
     secant_quadratic: Quadratic
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FittedRow:
     """A fitted place beside the theory: the preload that its kL implies, and the kNL of the theory at that preload."""
 
@@ -66,7 +66,7 @@ class FittedRow:
     theory_kNL: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Theory:
     """Hertz stiffness of the rig's bearing.
 

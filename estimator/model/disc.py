@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Disc:
     ks: float
     cs: float
     m: float
+    _: KW_ONLY
     C: float
     K: float
 

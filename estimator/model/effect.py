@@ -12,7 +12,7 @@ features and the report call the same text. All SI. Restoring convention (rig.py
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -53,6 +53,7 @@ class EffectParameter:
     unit: str
     low: float
     high: float
+    _: KW_ONLY
     default: float
     description: str
     linear: bool = False
@@ -72,7 +73,7 @@ def amplitude(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """A physical effect or fault, and all that is known of it. Texts are printed by `rotorscope effects NAME`.
 

@@ -23,7 +23,7 @@ from .rig import BearingGeometry
 STEEL_CONTACT_MODULUS_PA = 2.15e11
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PointContact:
     """One ball on one raceway. curvature_sum in 1/m; delta_star dimensionless; stiffness in N/m^1.5."""
 

@@ -8,7 +8,7 @@ PSD of F in N^2/Hz (white noise of intensity Q, E[F F'] = Q delta, has S = 2 Q).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
@@ -93,6 +93,7 @@ class BearingGeometry:
     ball_diameter: float
     pitch_diameter: float
     groove_radius: float | None = None
+    _: KW_ONLY
     preload: float | None = None
     contact_angle: float = 0.0
 
@@ -213,6 +214,7 @@ class Model:
     band: tuple[float, float]
     shaft: Shaft = "none"
     mass: Mapping[str, float] = field(default_factory=dict)
+    _: KW_ONLY
     shaft_stiffness: float = 0.0
     shaft_damping: float = 0.0
     speed_rpm: float | None = None

@@ -136,7 +136,7 @@ def modes(M: Array, K: Array, unit_node: int = -1) -> Modes:
     return Modes(p, U, np.einsum("ij,ik,kj->j", U, M, U))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Assembly:
     """The linear rig as matrices over all degrees of freedom, direction by direction.
 

@@ -45,7 +45,7 @@ def noise_shape(kinds: Sequence[str], w: Array) -> Array:
     return np.array([w ** (2.0 * _POWERS_OF_IW[kind][0]) for kind in kinds])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BandLimitedMotion:
     """Band-limited rows start ... start + n - 1 of each channel, SI.
 

@@ -32,7 +32,7 @@ def taper(size: int) -> Array:
     return np.concatenate([half, half[::-1]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BlockLayout:
     """Blocks, bins and frequency cells.
 

@@ -25,7 +25,7 @@ OUTLIER_POWER_RATIO = 6.0  # power over the local noise above which a bin counts
 MIN_LINE_POWER_SHARE = 0.45  # of the power above the noise that has the shape of a line
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LineSpectrum:
     """Spectrum of a whole record under a Hann window, in single precision (error 1e-3 of the local noise).
 

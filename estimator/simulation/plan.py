@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ CHANNEL_KINDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ActingLaw:
     """A row of the effect table: one effect that acts in one direction at one location.
 
@@ -58,6 +58,7 @@ class Plan:
     acting: tuple[ActingLaw, ...]
     channels: NDArray[np.int64]
     shapes: tuple[tuple[int, Callable[..., Array], Array], ...]
+    _: KW_ONLY
     correlation: tuple[tuple[int, int, float], ...]
     sensors: tuple[tuple[int, Effect, Array], ...]
 

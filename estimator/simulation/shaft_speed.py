@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class ShaftSpeed:
     ramp_rpm_per_s: float = 0.0
     fluctuation: float = 0.0
     fluctuation_hz: float = 0.5
+    _: KW_ONLY
     seed: int = 0
 
     def phase(self, t: Array) -> Array:

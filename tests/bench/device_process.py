@@ -39,7 +39,15 @@ def frames(rate_hz: float, seconds: float) -> tuple[bytes, list[bytes]]:
         cobs.encode(
             pack_info_body(
                 InfoRecord(
-                    SERIAL16_LAYOUT.code, 4, c, 16, 1, rate_hz, Signal(name, "m/s^2", 490.5 / 32767), 490.5, epoch=1
+                    SERIAL16_LAYOUT.code,
+                    4,
+                    c,
+                    16,
+                    serial_number=1,
+                    rate_hz=rate_hz,
+                    signal=Signal(name, "m/s^2", 490.5 / 32767),
+                    full_scale=490.5,
+                    epoch=1,
                 )
             )
         )

@@ -103,7 +103,8 @@ def rig() -> Model:
     spring = text["rig"]["shaft_spring"]
     cubic = EffectUse("cubic", {p: {"kNL": Setting(text["model"]["cubic"]["kNL"])} for p in linear})
     return Model(
-        channels, (150.0, 8000.0), "chain", text["rig"]["mass"], spring["stiffness"], spring["damping"], 2100.0,
+        channels, (150.0, 8000.0), "chain", text["rig"]["mass"], shaft_stiffness=spring["stiffness"],
+        shaft_damping=spring["damping"], speed_rpm=2100.0,
         linear=linear, effects=(cubic,),
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ def spent(path: Path, rate_hz: float, seconds: float) -> tuple[float, float, flo
     counts = np.round(np.random.default_rng(1).normal(size=(256, 4)) * 300).astype(np.int32)
     mine, theirs = cpu(resource.RUSAGE_SELF), cpu(resource.RUSAGE_CHILDREN)
     sink = RerunSink(str(path), live=False)
-    sink.start(Session(model, info, "", {}, {}))
+    sink.start(Session(model, info, "", {}, metadata={}))
     calls = []
     for index in range(0, int(seconds * rate_hz), 256):
         before = time.perf_counter()

@@ -298,7 +298,7 @@ def test_a_law_of_a_user_has_its_character_by_evaluation() -> None:
     def law(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
         return p[0] * (math.tanh(v / p[1]) + 1.0)
 
-    speed = EffectParameter("vs", "m/s", 1e-5, 1.0, 1e-3, "")
+    speed = EffectParameter("vs", "m/s", 1e-5, 1.0, default=1e-3, description="")
     own = replace(CATALOGUE["coulomb"], force=law, parameters=(*CATALOGUE["coulomb"].parameters, speed))
     assert (own.state, own.parity, own.steps_at_rest) == ("velocity", "mixed", False)
 

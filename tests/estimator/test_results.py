@@ -31,6 +31,6 @@ def test_places_that_differ_are_said_to() -> None:
 
 def test_a_place_that_cannot_tell_or_stands_alone_gives_no_shared_value() -> None:
     found = parameters(np.ones(4), np.full(4, 0.1)) | {"bearing1.x.kL": Parameter(1.0, 0.1, "N/m")}
-    found["bearing2.y.cubic.kNL"] = Parameter(None, None, "N/m^3", False, "no")
+    found["bearing2.y.cubic.kNL"] = Parameter(None, None, "N/m^3", False, reason="no")
     found["bearing1.x.coulomb.fc"] = Parameter(0.1, 0.01, "N")
     assert shared(found) == {}

@@ -191,8 +191,12 @@ KINDS = {
     "csv": Kind("files", damage=damaged_evenly),
     "lvm": Kind("files", damage=damaged_evenly),
     "parts": Kind(
-        "records of a log of which a part is read", 100, _records, head=(PART_HEAD + LOG_HEAD,),
-        good=lambda: [PART_HEAD + log for log in small_logs()], tails=log_ends,
+        "records of a log of which a part is read",
+        100,
+        _records,
+        head=(PART_HEAD + LOG_HEAD,),
+        good=lambda: [PART_HEAD + log for log in small_logs()],
+        tails=log_ends,
     ),  # fmt: skip
     "npz": Kind("files", damage=damaged_zip),
     "npz-members": Kind("members of an archive", 25, _behind_length, _with_length, whole=0.0, damage=damaged_npy),

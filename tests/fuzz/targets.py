@@ -182,7 +182,7 @@ SIG_VALTYPE_ 256 b : 1;
 
 def mapped(data: bytes, folder: Path) -> None:
     """Other makers' frames: any content, any times."""
-    decoder = MappedDecoder(LinkStats(), _DBC, {"b1x": "M.a", "b1y": "M.b", "b2x": "M.c"}, None, 100.0)
+    decoder = MappedDecoder(LinkStats(), _DBC, {"b1x": "M.a", "b1y": "M.b", "b2x": "M.c"}, rate_hz=100.0)
     frames, t_ns = [], 0
     for k in range(0, len(data), 10):
         step, piece = data[k : k + 2], data[k + 2 : k + 10]
@@ -423,7 +423,7 @@ def _capture(suffix: str) -> Target:
         path = folder / f"a{suffix}"
         _put(data, path)
         with contextlib.suppress(LinkError):
-            driver = Capture(CaptureConfig(str(path)), LinkStats(), FOREIGN_DBC, {"x": "Acc.X"}, None)
+            driver = Capture(CaptureConfig(str(path)), LinkStats(), FOREIGN_DBC, {"x": "Acc.X"}, expected=None)
             with contextlib.suppress(LinkError):
                 driver.open()
             driver.close()

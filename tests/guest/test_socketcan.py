@@ -76,7 +76,7 @@ def test_simulated_rig_on_vcan_through_the_command_line(tmp_path: Path) -> None:
     """Both ends are commands: simulate --serve, and run."""
     rig = str(write_rig(tmp_path))
     device = Child(lambda: main(["simulate", rig, "--serve", "can:socketcan:vcan0"]), tmp_path / "device.txt")
-    session = Session(tmp_path, "can:socketcan:vcan0", "--seconds", "6", "--strict")
+    session = Session(tmp_path, "can:socketcan:vcan0", "--seconds", "6", metadata="--strict")
     assert session.child.wait(200) == 0, session.said()
     device.stop()
     assert device.wait(60) == 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Protocol, runtime_checkable
 
 from drivers.contract import Info, LinkStats, Notice, Reading
@@ -26,6 +26,7 @@ class Session:
     info: Info
     device: str
     attachments: Mapping[str, bytes]
+    _: KW_ONLY
     metadata: Mapping[str, str]
 
 
@@ -39,7 +40,7 @@ class ClockState:
     bound_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
     """The state of a session, once a second.
 

@@ -33,7 +33,7 @@ RESERVED_NAMES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
     """names, units and (n, channels) values; NaN where a sample is missing.
 
@@ -116,7 +116,14 @@ def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
     """The samples of a log in the units of its own rig file; in SI where that does not know a channel, or is lost."""
     names, units = recording.channels, [s.unit for s in recording.info.signals]
     values = recording.samples()
-    table = Table(names, tuple(units), values, recording.rate_hz, names, recording.started_ns)
+    table = Table(
+        names=names,
+        units=tuple(units),
+        values=values,
+        rate_hz=recording.rate_hz,
+        channels=names,
+        started_ns=recording.started_ns,
+    )
     try:
         rig = Rig.parse(recording.rig_text)
     except (ConfigError, LogError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -38,11 +38,12 @@ class Case:
     title: str
     model: Model
     temperature: float
+    _: KW_ONLY
     x: dict[str, Array]
     v: dict[str, Array]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
     """One parameter in and out. value, sd : None where the data cannot tell; interval : 95 %."""
 
@@ -123,7 +124,7 @@ def plane_of(case: Case, direction: str, masses_known: bool) -> Plane:
     """The direction as eq. (36) has it: disc integrated out of the density, masses given or not."""
     mass = CAP_KG[direction] if masses_known else None
     caps = tuple(Cap(f"{node}.{direction}", (1, 3), mass) for node in ("bearing1", "bearing2"))
-    return Plane(direction, caps, case.model.shaft_stiffness, 0.5, -0.5, DISC_KG)
+    return Plane(direction, caps, case.model.shaft_stiffness, 0.5, b=-0.5, disc=DISC_KG)
 
 
 def _score(plane: Plane, x: Array, v: Array, velocity: bool) -> tuple[dict[str, float], Array]:

@@ -99,15 +99,15 @@ def _health() -> Any:
     """Tabs of the log, of the layers of the last seconds, and of what the stages of the session say of themselves."""
     import rerun.blueprint as rrb
 
-    return rrb.Tabs(
+    views = [
         rrb.TextLogView(origin="log", name="Log"),
         rrb.TextDocumentView(origin="layers", name="Layers"),
         _series("health/lost", "Lost and damaged, running total"),
         _series("health/lag", "Lag of each stage [s]"),
         _series("health/clock", "Clock"),
         rrb.TextDocumentView(origin="rig", name="Rig file"),
-        active_tab=0,
-    )
+    ]
+    return rrb.Tabs(*views, active_tab=0)
 
 
 def _series(path: str, name: str, **more: Any) -> rrb.TimeSeriesView:

@@ -33,7 +33,7 @@ NOTHING_MISSING, A_FORCE = "no force missing", "a force is missing"
 WORD_OF_LEVEL = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ViewSession:
     """What the view is told first. places : channel -> ("bearing1.x", kind); wall_ns : wall minus monotonic clock."""
 

@@ -25,7 +25,7 @@ from .twin import twin
 Progress = Callable[[float, str], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """A fitted model against the measurement. Forces, states and spectra in SI.
 

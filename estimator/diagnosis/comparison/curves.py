@@ -31,7 +31,7 @@ TURN_ORDERS = (1.0, 2.0)  # orders that repeat with every turn
 ANGLES_DEG = np.arange(0.0, 361.0, 15.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Law:
     """Restoring force in N against a state without its straight line: measured with its band, and the model's."""
 

@@ -18,7 +18,7 @@ def limits_95(value: Array, sd: Array) -> tuple[Array, Array]:
     return value - 1.96 * sd, value + 1.96 * sd
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
     """Residual restoring force against a state, without the part that kL and c can take over.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,7 @@ class Entry:
     at: tuple[str, ...]
     gain: float
     heldout_gain: float
+    _: KW_ONLY
     p_value: float
     before_percent: float
     after_percent: float

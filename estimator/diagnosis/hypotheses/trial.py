@@ -45,7 +45,7 @@ CONTENDER_MAX_P_VALUE = 0.45  # on two fifths of a record; above it the rest mak
 SHAFT_ANGLE_SUFFIXES = ("_cos", "_sin")  # of amplitudes that vary with the shaft angle
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
     """An effect at a location, fitted to a record or a part of it.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -71,6 +71,7 @@ class BearingJudgement:
     ranking: tuple[Entry, ...]
     shape: Shape | None = None
     separates: str = ""
+    _: KW_ONLY
     messages: tuple[Message, ...] = ()
     judged: bool = True
     reason: str = ""

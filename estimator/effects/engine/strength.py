@@ -22,7 +22,7 @@ WEAK_SHARE = 0.02  # of the rms bearing force, of a hidden effect
 WEAK_MAX_SHARE = 0.03  # a wanted fraction up to this is a weak case
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Size:
     """Natural sizes at a location.
 

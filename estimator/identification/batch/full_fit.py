@@ -8,7 +8,7 @@ fixes is kept.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 
@@ -74,6 +74,7 @@ class FullFit:
     point: WorkingPoint
     disturbances: dict[str, Parameter]
     messages: tuple[Message, ...] = ()
+    _: KW_ONLY
     masses: dict[str, Parameter] = field(default_factory=dict)
 
     @property

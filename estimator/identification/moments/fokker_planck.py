@@ -46,7 +46,7 @@ GAUSS_QUADRATURE = (
 )  # nodes of [-1, 1], weights to 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Histogram:
     """Histogram of the displacements of one direction, by block of the record, on a uniform grid in row-major order.
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from estimator.effects import CATALOGUE
 from estimator.model.rig import CAP_DIRECTIONS, Model
@@ -62,6 +62,7 @@ class Plane:
     caps: tuple[Cap, ...]
     ks: float = 0.0
     a: float = 0.0
+    _: KW_ONLY
     b: float = 0.0
     disc: float | None = None
 

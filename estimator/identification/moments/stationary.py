@@ -87,7 +87,7 @@ def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) ->
     return out
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnostic:
     """A statistic of the record that exp(-H/T) predicts.
 

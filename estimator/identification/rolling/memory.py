@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
@@ -34,6 +34,7 @@ class Memory:
     gram: Array
     tangents: Array
     motion: Array = field(default_factory=lambda: np.zeros(0))
+    _: KW_ONLY
     n: float = 0.0
     n2: float = 0.0
     rows: float = 0.0

@@ -51,7 +51,7 @@ class RollingFit:
     """
 
     def __init__(
-        self, record: Record, start: RollingStart, wide: Balance, laws: int, time_constant_s: float, columns: Columns
+        self, record: Record, start: RollingStart, wide: Balance, *, laws: int, time_constant_s: float, columns: Columns
     ) -> None:
         grid = record.grid
         if wide.common is not None:  # it depends on frequency alone
@@ -120,7 +120,7 @@ class RollingFit:
             start = start.renewed(record, own, tangents, point)
         wide = build_balance(with_candidates(model, watch), start.sizes, start.values, search=False)
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
-        fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
+        fitted = cls(record, start, wide, laws=len(own.laws), time_constant_s=time_constant_s, columns=columns)
         fitted.local, fitted.held = local, dict(start.held)
         fitted.level = ExcitationLevel.of_first(local.power, record.grid.per_cell, is_force_measured(own))
         return fitted

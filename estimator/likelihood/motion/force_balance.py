@@ -23,7 +23,7 @@ from estimator.model.rig import LINEAR_UNITS, MOTION_UNITS, Model, Setting
 UNKNOWN_SETTING = Setting()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Law:
     """One effect acting on one place. p : (k,) current values; linear, searched : indices of its parameters."""
 
@@ -52,7 +52,7 @@ class Column:
     part: int = -1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Free:
     """A free parameter: its entries (row, column, coefficient) in B. searched : beta is a step from `start`."""
 
@@ -65,7 +65,7 @@ class Free:
     searched: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Balance:
     """places : rows of B; fixed : (rows, columns) B0; common : response of the shaft's reaction to displacement; disc :
     None without one on a shaft."""

@@ -38,7 +38,7 @@ SPEED_REACH_S = 0.25  # to either side, over which the speed is averaged
 MAX_HARMONICS = 399
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PeriodicEffect:
     """One periodic effect at a place.
 
@@ -165,7 +165,7 @@ def periodic_effects(model: Model) -> list[PeriodicEffect]:
     return out
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PeriodicForce:
     """Force of a periodic effect per unit of one amplitude, at the places where the effect acts.
 

@@ -28,7 +28,7 @@ from .linear_memory import filtered_series, linear_response
 from .memory_law import memory_force, memory_force_and_response
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
     """Consecutive rows, MARGIN_ROWS more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
 

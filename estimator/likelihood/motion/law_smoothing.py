@@ -12,7 +12,7 @@ done for a smooth law at a resonance so high that its few harmonics alias.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
 
 import numpy as np
@@ -100,6 +100,7 @@ class LawStates:
     v: Series
     xo: Series
     vo: Series
+    _: KW_ONLY
     t: Series
     phase: Series
     s: float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -128,6 +128,7 @@ class LocatedLaw:
     key: str
     at: tuple[int, ...]
     p: Array
+    _: KW_ONLY
     free: tuple[bool, ...]
 
     def with_values(self, p: Array) -> LocatedLaw:

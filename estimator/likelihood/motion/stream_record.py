@@ -29,7 +29,7 @@ CELLS_WITH_FORCE = 300  # what is left is sensor noise seen through A, which var
 MAX_HELD_BINS = 4e7  # complex bins held at a time, about
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
     """Band-limited motion of a model's channels. motion : rows of the motion channels, in the order of the places.
 

@@ -57,7 +57,7 @@ def responses(balance: Balance, tangents: Array, f_hz: Array, shift: float = 0.0
     return R
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What the data say about a balance. gram : (cells, k, k) sums; blocks : their weighted number; tangents (k, 4)."""
 
@@ -80,7 +80,7 @@ class Point:
     noise: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Local:
     """The likelihood about a point. Order of theta: beta (p), log S (P), noise (P).
 
@@ -97,7 +97,7 @@ class Local:
     spread: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
     """R and A along s = shift + iw; total : sum of log |det A|^2 over the bins of a block, as it is on either side of
     the axis. ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every

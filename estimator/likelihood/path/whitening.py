@@ -40,7 +40,7 @@ class WhitenedRegressors:
     apart: Array
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Whitening:
     """Turns time series into whitened block spectra.
 

@@ -27,7 +27,7 @@ from .self_energy import (
 SAMPLES_PER_CYCLE = 40.0  # of the motion: the covariance of a jump falls within few samples
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fluctuation:
     """Fluctuation of the tangents of all laws at one place.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -210,6 +210,7 @@ class Span:
     part: NDArray[np.float32]
     gram: Array
     slopes: Array
+    _: KW_ONLY
     apart: Array
     memory: Complexes | None
 
@@ -338,6 +339,7 @@ class Regressor:
     unit: str
     series: dict[int, NDArray[Any]]
     tangent: Array
+    _: KW_ONLY
     scale: float = 1.0
     memory: dict[int, Complexes] = field(default_factory=dict)
     apart: Array | None = None

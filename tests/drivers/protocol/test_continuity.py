@@ -571,8 +571,9 @@ def test_any_frames_at_all_keep_the_axis_whole(frames: list[tuple[int, int, int,
     record.infos.append(None)  # type: ignore[arg-type]
     for k, (position, lost, epoch, time_us) in enumerate(frames):
         one = SampleFrames(
-            np.array([position]), NO_MODULUS, np.array([lost], np.uint8), np.array([epoch], np.uint8),
-            np.array([time_us]), NO_MODULUS, np.zeros((1, rows, 1), np.int32),
+            position=np.array([position]), modulus=NO_MODULUS, lost=np.array([lost], np.uint8),
+            epoch=np.array([epoch], np.uint8),
+            time_us=np.array([time_us]), time_modulus=NO_MODULUS, counts=np.zeros((1, rows, 1), np.int32),
         )  # fmt: skip
         for reading in axis.feed(one, k * 1_000_000):
             assert isinstance(reading, Block | Gap)

@@ -269,6 +269,8 @@ def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over(
     point = fit_model(data, located_laws(rig, data))
     effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
     assert (
-        law_gain.fitted_gain(point, LocatedLaw(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False)))
+        law_gain.fitted_gain(
+            point, LocatedLaw(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), free=(True, False))
+        )
         is None
     )

@@ -133,7 +133,7 @@ def test_theory_beside_a_fit_and_its_json() -> None:
         {
             "bearing1.x.kL": Parameter(kL, 0.01 * kL, "N/m"),
             "bearing1.x.cubic.kNL": Parameter(kNL, None, "N/m^3"),
-            "bearing1.y.kL": Parameter(None, None, "N/m", False, "mass unknown"),
+            "bearing1.y.kL": Parameter(None, None, "N/m", False, reason="mass unknown"),
         },
         None,
         1000,

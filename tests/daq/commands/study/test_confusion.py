@@ -74,7 +74,17 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_what_is_named_is_added_and_closes_the_gap(seconds: float, stands_in: bool) -> None:
     judge: dict[str, Any] = {}
     if stands_in:  # the diagnosis has tests of its own: here it is right
-        top = Entry("coulomb", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0)
+        top = Entry(
+            "coulomb",
+            ("bearing1",),
+            9.0,
+            9.0,
+            p_value=1e-9,
+            before_percent=3.0,
+            after_percent=0.0,
+            parameters={},
+            score=9.0,
+        )
         right = SimpleNamespace(verdict="coulomb", ranking=(top,))
         judge["diagnose"] = lambda *_: right
     found = subject.run(load_rig(PAPER).model, Case("coulomb", "strong", "bearing1", 0), seconds, **judge)

@@ -43,11 +43,23 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
     y = simulate(truth, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
     point = fit_all_effects(model, y, RATE).point
     laws = tuple(
-        LocatedLaw(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), (True, False))
+        LocatedLaw(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), free=(True, False))
         for i, n in enumerate(NODES)
     )
     both = {"bearing1": (90.0, 80.0), "bearing2": (9.0, 8.0)}
-    named = Entry("stiffness_drift", NODES, 99.0, 88.0, 1e-9, 3.0, 0.0, {}, 99.0, placed=laws, by_node=both)
+    named = Entry(
+        "stiffness_drift",
+        NODES,
+        99.0,
+        88.0,
+        p_value=1e-9,
+        before_percent=3.0,
+        after_percent=0.0,
+        parameters={},
+        score=99.0,
+        placed=laws,
+        by_node=both,
+    )
     entry, after = at_identifiable_bearings(point, named, fit_model(point.data, [*point.placed, *laws], start=point))
     assert entry.at == hidden
     assert entry.heldout_gain == sum(both[n][1] for n in hidden)
@@ -55,10 +67,24 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
 
 
 def test_without_a_bearing_its_nats_and_numbers_go() -> None:
-    laws = tuple(LocatedLaw(CATALOGUE["cubic"], f"{n}.x.cubic", (i,), np.ones(1), (True,)) for i, n in enumerate(NODES))
+    laws = tuple(
+        LocatedLaw(CATALOGUE["cubic"], f"{n}.x.cubic", (i,), np.ones(1), free=(True,)) for i, n in enumerate(NODES)
+    )
     by_node = {"bearing1": (5.0, 4.0), "bearing2": (3.0, 1.0)}
     parameters = {f"{n}.x.cubic.kNL": object() for n in NODES}
-    entry = Entry("cubic", NODES, 8.0, 5.0, 1e-3, 1.0, 0.0, parameters, 8.0, placed=laws, by_node=by_node)  # type: ignore[arg-type]
+    entry = Entry(
+        "cubic",
+        NODES,
+        8.0,
+        5.0,
+        p_value=1e-3,
+        before_percent=1.0,
+        after_percent=0.0,
+        parameters=parameters,
+        score=8.0,
+        placed=laws,
+        by_node=by_node,
+    )  # type: ignore[arg-type]
     less = ranking.without_nodes(entry, ["bearing2"])
     assert (less.at, less.gain, less.heldout_gain, less.placed) == (("bearing1",), 5.0, 4.0, laws[:1])
     assert set(less.parameters) == {"bearing1.x.cubic.kNL"}

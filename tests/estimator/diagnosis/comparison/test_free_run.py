@@ -22,7 +22,16 @@ def truth() -> Model:
     linear = {p: {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)} for p in PLACES}
     cubic = EffectUse("cubic", {p: {"kNL": Setting(1.3e18)} for p in PLACES})
     mass = {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.2}
-    return Model(motion + force, (150.0, 8000.0), "chain", mass, 155e3, 0.5, linear=linear, effects=(cubic,))
+    return Model(
+        motion + force,
+        (150.0, 8000.0),
+        "chain",
+        mass,
+        shaft_stiffness=155e3,
+        shaft_damping=0.5,
+        linear=linear,
+        effects=(cubic,),
+    )
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ def test_a_number_that_is_given_has_no_spread(
     found = best_on_grid(point, rig, CATALOGUE["hertz"], "bearing1")
     assert found is not None
     (entry,) = ranked_entries(rig, point, [with_heldout_gain(found)], survey(point, rig))
-    assert entry.parameters["bearing1.hertz.balls"] == Parameter(6.0, 0.0, "1", True, "given")
+    assert entry.parameters["bearing1.hertz.balls"] == Parameter(6.0, 0.0, "1", True, reason="given")
     assert entry.parameters["bearing1.hertz.preload"].sd != 0.0
 
 
@@ -103,7 +103,7 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
     rig, point, _ = weak
     coulomb = CATALOGUE["coulomb"]
     where = acted_on(coulomb, "bearing1.x", point.data)
-    free = law_gain.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
+    free = law_gain.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), free=(True,)))
     assert free is not None
     barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
     limited = best_on_grid(point, rig, barred, "bearing1.x")
@@ -132,7 +132,7 @@ def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, 
 def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, WorkingPoint, float]) -> None:
     """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
     rig, point, gap = weak
-    placed = LocatedLaw(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), (True, True))
+    placed = LocatedLaw(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), free=(True, True))
     asked = [law_gain.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
     gains = [one.gain for one in asked if one is not None]
     fresh = law_gain.fitted_gain(replace(point, units=UnitRegressors()), placed)

@@ -51,9 +51,10 @@ def context() -> Context:
 
 def entry(name: str = "clearance", values: tuple[float, ...] = (1e6, 1e-8), **more: object) -> Entry:
     """A candidate law with ample evidence."""
-    law = LocatedLaw(CATALOGUE[name], f"bearing1.x.{name}", (0,), np.array(values), (True,) * len(values))
+    law = LocatedLaw(CATALOGUE[name], f"bearing1.x.{name}", (0,), np.array(values), free=(True,) * len(values))
     given = Entry(
-        name, ("bearing1",), 50.0, 45.0, 1e-9, 3.0, 0.0, {}, 48.0, explained_percent=3.0, placed=(law,),
+        name, ("bearing1",), 50.0, 45.0, p_value=1e-9, before_percent=3.0, after_percent=0.0, parameters={},
+        score=48.0, explained_percent=3.0, placed=(law,),
         folds=(8.0, 7.0, 8.0, 7.0, 8.0, 7.0),
     )  # fmt: skip
     return replace(given, **more)  # type: ignore[arg-type]

@@ -56,8 +56,19 @@ def having(rig: Model, use: EffectUse) -> Model:
 def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model) -> None:
     """A diagnosis may be wrong, as beside masses that are not known: then it was the law ahead, of no known size."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
-    law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
-    ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
+    law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), free=(True,))
+    ahead = Entry(
+        "quadratic_damping",
+        ("bearing1",),
+        9.0,
+        8.0,
+        p_value=1e-4,
+        before_percent=0.3,
+        after_percent=0.0,
+        parameters={},
+        score=7.0,
+        placed=(law,),
+    )
     wrong = BearingJudgement("quadratic_damping", (ahead,))
     ladder = improvement(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE, diagnose=lambda *_: wrong)
     assert len(ladder.rungs) == 1
@@ -71,8 +82,19 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(r
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     cubic = CATALOGUE["cubic"]
     hidden = with_effect(rig, cubic, strengths(cubic, size(rig, "bearing1.x", RATE), 0.3, rig), "bearing1.x")
-    law = LocatedLaw(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
-    wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
+    law = LocatedLaw(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), free=(True,))
+    wrong = Entry(
+        "quadratic",
+        ("bearing1",),
+        9.0,
+        8.0,
+        p_value=1e-4,
+        before_percent=0.3,
+        after_percent=0.0,
+        parameters={},
+        score=7.0,
+        placed=(law,),
+    )
     y = simulate(hidden, RATE, 4.0, seed=4, noise=NOISE)
     ladder = improvement(rig, y, RATE, diagnose=lambda *_: BearingJudgement("quadratic", (wrong,)))
     assert len(ladder.rungs) == 1
@@ -112,8 +134,19 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model)
     colour = {"gain": 4.0, "corner": 800.0}
     known = with_effect(rig, CATALOGUE["coloured_excitation"], colour, "bearing1.x")
     y = simulate(with_effect(known, cubic, own, "bearing1.x"), RATE, 4.0, seed=4, noise=NOISE)
-    law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
-    named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
+    law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), free=(True,))
+    named = Entry(
+        "cubic",
+        ("bearing1",),
+        9.0,
+        8.0,
+        p_value=1e-4,
+        before_percent=6.0,
+        after_percent=0.0,
+        parameters={},
+        score=7.0,
+        placed=(law,),
+    )
     said = iter([BearingJudgement("cubic", (named,)), BearingJudgement("complete", ())])
     ladder = improvement(known, y, RATE, diagnose=lambda *_: next(said))
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")

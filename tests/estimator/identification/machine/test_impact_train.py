@@ -124,4 +124,15 @@ def test_lines_below_the_band_come_after_strikes_in_it(hz: tuple[float, ...], fi
 
 
 def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> ranking.Entry:
-    return ranking.Entry(effect, ("bearing1",), score, score, 0.0, 97.0, 0.0, {}, score, settings=settings or {})
+    return ranking.Entry(
+        effect,
+        ("bearing1",),
+        score,
+        score,
+        p_value=0.0,
+        before_percent=97.0,
+        after_percent=0.0,
+        parameters={},
+        score=score,
+        settings=settings or {},
+    )

@@ -73,7 +73,7 @@ def test_velocity_form_needs_no_equal_temperatures_and_little_data() -> None:
     K = np.diag([ks, ks])  # the disc at rest
     x, v = langevin(m, c, kL, [1.3e18, 1.3e18], K, [4.5e-5, 1.35e-4], 25600.0, 8 * 25600, seed=7)
     caps = (Cap("bearing1.x", (1, 3), m[0]), Cap("bearing2.x", (1, 3), m[1]))
-    values, cov = fed(Plane("x", caps, ks, 1.0, 0.0, M3), x, v, "velocity", 2560).values()
+    values, cov = fed(Plane("x", caps, ks, 1.0, b=0.0, disc=M3), x, v, "velocity", 2560).values()
     sd = dict(zip(values, np.sqrt(np.diag(cov)), strict=True))
     for i, cap in enumerate(caps):
         name = f"{cap.place}.kL"

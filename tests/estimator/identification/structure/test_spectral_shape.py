@@ -192,7 +192,7 @@ def test_a_resonance_is_undone_in_what_the_other_cap_answers() -> None:
     y += 1e-3 * y.std(axis=0) * rng.normal(size=y.shape)
     rig = Model(
         (Channel("b1", "bearing1", "x"), Channel("b2", "bearing2", "x")), (100.0, 8000.0), "chain",
-        {"bearing1": m, "bearing2": m, "disc": disc}, ks, 2.0,
+        {"bearing1": m, "bearing2": m, "disc": disc}, shaft_stiffness=ks, shaft_damping=2.0,
         effects=(EffectUse("sensor_resonance", {"bearing1.x": {}}),),
     )  # fmt: skip
     whole = fit_all_effects(rig, y, RATE)

@@ -31,7 +31,7 @@ def state(sx: float = 0.0, sv: float = 0.0, f: float = 1125.0) -> LawStates:
     v = 1e-7 * w * (-a * np.sin(w * t) + 1.01 * b * np.cos(w * 1.01 * t))
     h = np.sqrt(3) * np.array([sx, sv, 0.0, 0.0])
     zero = np.zeros(N)
-    return LawStates(x, v, zero, zero, t, zero, 1.0, h, np.ones(N, bool))
+    return LawStates(x, v, zero, zero, t=t, phase=zero, s=1.0, h=h, valid=np.ones(N, bool))
 
 
 def test_a_polynomial_is_smoothed_exactly() -> None:
@@ -67,7 +67,8 @@ def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
     """sgn of a tone: its harmonics above the Nyquist frequency may not come back into the band."""
     f, dense = 1125.3, 64
     s = state(f=f)
-    wide = LawStates(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
+    states = {key: np.ascontiguousarray(getattr(s, key)) for key in ("x", "v", "xo", "vo", "t", "phase")}
+    wide = LawStates(**states, s=1.0, h=s.h * 0, valid=s.valid)
     fine = wide.finer(np.array([False, True, False, False]))
     out = decimated(law_force(CATALOGUE["coulomb"], np.ones(1), fine, np.array([False, True, False, False]))[0])
     assert out.size == N - 2 * MARGIN_ROWS

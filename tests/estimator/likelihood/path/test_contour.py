@@ -72,7 +72,14 @@ CAPS, SHAFT, BOTH = np.array([0.21, 0.22]), 3.9e6, ("bearing1.x", "bearing2.x") 
 
 def rotor(c: float, f_disc: float, w: NDArray[Any]) -> tuple[NDArray[np.complex128], NDArray[np.float64], Disc]:
     """A (w, 2, 2) of caps on either side of a disc that resonates at f_disc, their mean tangents, and the disc."""
-    model = Model((), (150.0, 8000.0), "chain", {"disc": 2 * SHAFT / (2 * np.pi * f_disc) ** 2}, SHAFT, 0.9)
+    model = Model(
+        (),
+        (150.0, 8000.0),
+        "chain",
+        {"disc": 2 * SHAFT / (2 * np.pi * f_disc) ** 2},
+        shaft_stiffness=SHAFT,
+        shaft_damping=0.9,
+    )
     disc, D = disc_of(model), np.zeros((2, 2, 2))
     assert disc is not None
     D[[0, 1], [0, 1]] = [[8.9e6, c], [6.3e6, c]]

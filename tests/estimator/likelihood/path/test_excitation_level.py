@@ -91,7 +91,7 @@ def test_friction_under_a_growing_force_gains_on_every_fold() -> None:
         for n in (1.0, 3.0)
     ]
     point = fit_all_effects(rig, np.concatenate(parts), RATE).point
-    placed = LocatedLaw(coulomb, "bearing1.x.coulomb", (0,), np.array([fc["fc"]]), (True,))
+    placed = LocatedLaw(coulomb, "bearing1.x.coulomb", (0,), np.array([fc["fc"]]), free=(True,))
     term = regressors(placed, point.data, point.lin)[0]
     assert term.apart is not None
     assert point.data.over_folds(term.apart) == pytest.approx(0.0, abs=1e-9 * np.abs(term.apart).max())

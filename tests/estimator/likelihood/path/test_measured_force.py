@@ -25,7 +25,9 @@ def rig(*channels: Channel, known: bool = False, **more: tuple[str, float]) -> M
     laws = {"cubic": ("kNL", 1.3e18)} | more
     uses = tuple(EffectUse(e, {p: {k: Setting(z)} if known else {} for p in PLACES}) for e, (k, z) in laws.items())
     mass = {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.2}
-    return Model(channels, (150.0, 8000.0), "chain", mass, 155e3, 0.5, linear=linear, effects=uses)
+    return Model(
+        channels, (150.0, 8000.0), "chain", mass, shaft_stiffness=155e3, shaft_damping=0.5, linear=linear, effects=uses
+    )
 
 
 @pytest.fixture(scope="module")

@@ -65,7 +65,7 @@ def test_the_force_tells_what_the_accelerometer_does_not(k5: float) -> None:
     x, y = record(k5)
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)
-    law = LocatedLaw(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([k5]), (True,))
+    law = LocatedLaw(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([k5]), free=(True,))
     seen = with_below_band_motion(data, np.array([KL]), np.array([C]), [law]).displacement(0)
     left = x[rows] - data.x[0]
     assert left.std() > 0.06 * x.std()

@@ -28,7 +28,7 @@ def tangents() -> np.ndarray:
 
 def disc(shaft: Shaft) -> Disc:
     own = shaft_matrix(shaft, 1.0)[2, 2]
-    return Disc(shaft, KS, CS, DISC, own * CS, own * KS)
+    return Disc(shaft, KS, CS, DISC, C=own * CS, K=own * KS)
 
 
 @pytest.mark.parametrize("shaft", ["chain", "beam"])
