@@ -22,6 +22,7 @@ from daq.base.console.tables import ladder_table, number
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement
+from daq.report.first_numbers import with_severity
 from daq.report.layers import lines as layer_lines
 from daq.report.signal_spectra import signal_spectra
 from daq.report.words import is_of_the_model, message_text
@@ -45,9 +46,13 @@ def diagnose(
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE), part)
     from estimator.diagnosis.verdict import diagnose as diagnose_model
+    from estimator.identification.record import severity
 
     with output.progress("diagnosing") as progress, about(log, data):
-        value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+        found = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress)
+        value = found.to_json()
+        levels = severity(rig.model, data.y, data.rate_hz, found.record, data.full_scale)
+        value["record"] = with_severity(value["record"], levels)
     if pages:
         _write_pages(output, pages, rig, data, value)
     people = [*layers_text(value, si_units(rig)), *diagnosis_text(value), *pages.said()]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +30,7 @@ class Measurement:
     facts : heading -> text, for the head of a report.
     started : time of the first row, UTC; None where the file does not state it.
     from_s : of a part, where it begins in the record; None of a whole record.
+    full_scale : channel -> how many of its samples are at full scale and NaN.
     """
 
     y: NDArray[np.float64]
@@ -38,6 +39,7 @@ class Measurement:
     started: datetime | None = None
     _: KW_ONLY
     from_s: float | None = None
+    full_scale: Mapping[str, int] = field(default_factory=dict)
 
 
 def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOLE_RECORD) -> Measurement:
@@ -49,23 +51,24 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
     """
     if path.suffix.lower() == ".mcap" or not path.is_file():
         from daq.log.reader import read_log
+        from daq.log.rig_samples import rig_samples
 
         log = read_log(path, part=replace(part, channels=()))
-        y = log.samples(rig, note, dtype=_dtype(log, rig))
+        y, full_scale = rig_samples(log, rig, note, _dtype(log, rig))
         started, rate_hz, from_s = log.started, log.rate_hz, log.from_s
     else:
         from .checks import load
 
         record = load(path, rig, None, note, part=part)
         started = None if record.started_ns is None else datetime.fromtimestamp(record.started_ns // 1000 / 1e6, UTC)
-        y, rate_hz, from_s = record.si(), record.rate_hz, record.from_s
+        y, rate_hz, from_s, full_scale = record.si(), record.rate_hz, record.from_s, {}
     facts = {"log": path.name, "record": f"{len(y) / rate_hz:.4g} s at {rate_hz:g} Hz"}
     if from_s is not None:
         facts["record"] += f", from {from_s:.6g} s on"
         note(f"{path}: {len(y) / rate_hz:.6g} s from {from_s:.6g} s on are read; times that are said count from there")
     if started is not None:
         facts["started"] = f"{started:%Y-%m-%d %H:%M:%S} UTC"
-    return Measurement(y, rate_hz, facts, started, from_s=from_s)
+    return Measurement(y, rate_hz, facts, started, from_s=from_s, full_scale=full_scale)
 
 
 def _dtype(log: Recording, rig: Rig) -> type[np.float64] | type[np.float32]:

@@ -186,7 +186,7 @@ class Recording:
             return self._in_si(list(range(len(self.channels))), keep_clipped=True, dtype=dtype)[0]
         from .rig_samples import rig_samples
 
-        return rig_samples(self, rig, note, dtype)
+        return rig_samples(self, rig, note, dtype)[0]
 
     def unclipped(
         self, columns: list[int], dtype: type[np.float64] | type[np.float32] = np.float64

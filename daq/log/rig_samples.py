@@ -23,8 +23,11 @@ def rig_samples(
     rig: Rig,
     note: Callable[[str], None],
     dtype: type[np.float64] | type[np.float32] = np.float64,
-) -> NDArray[np.float64]:
-    """(n, channels of the rig) in SI, NaN where a sample is missing or at full scale; see `Recording.samples`."""
+) -> tuple[NDArray[np.float64], dict[str, int]]:
+    """(n, channels of the rig) in SI, NaN where a sample is missing or at full scale; see `Recording.samples`.
+
+    And how many samples of each channel are at full scale.
+    """
     columns = _columns(log, rig)
     y, clipped = log.unclipped(columns, dtype)
     if not len(y):
@@ -45,7 +48,7 @@ def rig_samples(
             f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {log.rate_hz:g} Hz"
         )
         raise LogError(f"{log.path}: {text}; lower band.high")
-    return y
+    return y, {c.name: int(n) for c, n in zip(rig.model.channels, clipped, strict=True) if n}
 
 
 def _columns(log: Recording, rig: Rig) -> list[int]:

@@ -19,7 +19,7 @@ def lines(diagnosis: Json, units: Mapping[str, str]) -> list[tuple[str, str]]:
     """
     out = []
     for name, told in (("record", _record), ("machine", _machine), ("structure", _structure), ("bearing", _bearing)):
-        if diagnosis.get(name) is not None:
+        if diagnosis.get(name):
             texts = told(diagnosis[name], units)
             out += [(name if not k else "", text) for k, text in enumerate(texts)]
     return out
@@ -41,7 +41,8 @@ def _level(level: Json, unit: str) -> str:
     said = [f"rms {number(level['rms'])} {unit_text(unit)}".strip(), f"peak {number(level['peak'])}"]
     said += [f"{key} {level[key]:.1f}" for key in ("crest", "kurtosis") if level[key] is not None]
     if level["velocity_rms_mm_s"] is not None:
-        said.append(f"velocity {number(level['velocity_rms_mm_s'])} mm/s rms (10 to 1000 Hz)")
+        zone = f", zone {level['zone']}" if level.get("zone") else ""
+        said.append(f"velocity {number(level['velocity_rms_mm_s'])} mm/s rms (10 to 1000 Hz{zone})")
     return ", ".join(said)
 
 

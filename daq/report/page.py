@@ -60,13 +60,15 @@ def render(
     diagnoses: Sequence[Json] = (),
     ladder: Sequence[Json] = (),
     notes: Sequence[str] = (),
+    seen: Json = NO_RESULT,
     rig_text: str = "",
 ) -> str:
     """The page as text.
 
     signal : measured spectra; comparison : of the model as it is now, None where no model of the bearings is judged;
     before : of the model before anything was added; diagnoses : of every model of the ladder, in order; notes : what
-    the improvement said; facts : log, rig, length of the record ... as the head of the page shows them.
+    the improvement said; seen : layers of a record that no model was asked about; facts : log, rig, length of the
+    record ... as the head of the page shows them.
     """
     from jinja2 import Environment, StrictUndefined
 
@@ -89,7 +91,7 @@ def render(
         facts=dict(facts) | {"made by": f"rotorscope {version()}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"},
         summary=words.summary(comparison, diagnoses, ladder),
         pictures=pictures(now, old, ladder, before is not None) | signal_figures.pictures(signal),
-        layers=layers.lines(diagnoses[0], measured_units(signal)) if diagnoses else [],
+        layers=layers.lines(diagnoses[0] if diagnoses else seen, measured_units(signal)),
         comparison=comparison,
         where=words.regions(before, comparison),
         findings=[finding(d, k, len(diagnoses), ladder) for k, d in enumerate(diagnoses)],

@@ -17,11 +17,21 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.base.contract.errors import ConfigError
 from estimator.effects import NAMED
-from estimator.model import BEARING_NODES, MOTION_UNITS, AntiAlias, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model import (
+    BEARING_NODES,
+    MOTION_UNITS,
+    AntiAlias,
+    BearingGeometry,
+    Channel,
+    MachineClass,
+    Model,
+    Setting,
+    Shaft,
+)
 
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
-from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, RigFile
+from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
 from .units import SI_UNIT, factor
 
 MAX_CHARACTERS, MAX_DOTS = 200_000, 100  # characters of a file; dots in a line
@@ -271,6 +281,7 @@ def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, 
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
         anti_alias=_anti_alias(file.acquisition),
+        iso20816=_machine_class(file.machine),
     )
     effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
@@ -310,6 +321,11 @@ def _anti_alias(table: AcquisitionTable | None) -> AntiAlias | None:
     if own is None:
         return None
     return AntiAlias(kind=own.kind, order=own.order, cutoff_hz=own.cutoff_hz, ripple_db=own.ripple_db)
+
+
+def _machine_class(table: MachineTable) -> MachineClass | None:
+    own = table.iso20816
+    return None if own is None else MachineClass(group=own.group, support=own.support)
 
 
 def _bearing(table: BearingTable | None) -> BearingGeometry | None:

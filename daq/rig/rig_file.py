@@ -214,6 +214,31 @@ class AcquisitionTable(Table):
     anti_alias: AntiAliasTable | None = None
 
 
+class Iso20816Table(Table):
+    """Class of the machine for the zones of ISO 20816-3 (15 kW and more, 120 to 30 000 rpm, bearing housings).
+
+    group : 1 is above 300 kW or a shaft height from 315 mm, 2 is 15 to 300 kW. support : rigid if the lowest natural
+    frequency of machine and support is at least 25 % above the speed.
+    """
+
+    part: int
+    group: Literal[1, 2]
+    support: Literal["rigid", "flexible"]
+
+    @field_validator("part")
+    @classmethod
+    def known_part(cls, value: int) -> int:
+        if value != 3:
+            raise ValueError(f"{value}: zones are known for part 3 alone; leave iso20816 out for numbers without zone")
+        return value
+
+
+class MachineTable(Table):
+    """What the machine is."""
+
+    iso20816: Iso20816Table | None = None
+
+
 class EstimatorTable(Table):
     method: Literal["spectral", "score-matching"] = "spectral"
     time_constant_s: Positive = 10.0
@@ -358,6 +383,7 @@ class RigFile(Table):
     rig: RigTable = RigTable()
     band: BandTable
     acquisition: AcquisitionTable | None = None
+    machine: MachineTable = MachineTable()
     estimator: EstimatorTable = EstimatorTable()
     model: ModelTable = ModelTable()
     channel: Annotated[list[ChannelTable], Field(min_length=1)]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.sink import Session, SinkHealth, Status
+from daq.report.first_numbers import with_severity
 from daq.report.layers import lines, strike_text, tone_name, tone_text
 from drivers.contract import Block, Info, Notice, Reading
 from estimator import Model
@@ -103,7 +104,7 @@ class LayerWatch:
     def _survey(self, y: NDArray[np.float64], rate_hz: float, window: int) -> None:
         """Say what is new in a window. window : its number."""
         from estimator.identification.machine import survey_machine
-        from estimator.identification.record import survey_record, without_spikes
+        from estimator.identification.record import severity, survey_record, without_spikes
         from estimator.identification.structure import survey_structure
 
         record = survey_record(self._model, y, rate_hz)
@@ -124,7 +125,12 @@ class LayerWatch:
             self._say("info", TONES_FOUND, f"tones from {when}: " + "; ".join(map(tone_text, tones)))
         if self._structure is None or window % STRUCTURE_EVERY == 0:
             self._structure = survey_structure(self._model, y, rate_hz, record, machine)
-        seen = {"record": record.to_json(), "machine": told, "structure": self._structure.to_json()}
+        levels = severity(self._model, y, rate_hz, record)
+        seen = {
+            "record": with_severity(record.to_json(), levels),
+            "machine": told,
+            "structure": self._structure.to_json(),
+        }
         text = [f"{name}: {line}" if name else f"  {line}" for name, line in lines(seen, self._units)]
         self._say("info", LAYERS_SEEN, "\n".join([f"layers from {when}", *text]))
 

@@ -98,6 +98,22 @@ class BearingGeometry:
     contact_angle: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineClass:
+    """Class of a machine for the zones of ISO 20816-3: above 15 kW, 120 to 30 000 rpm, measured in place.
+
+    Parameters
+    ----------
+    group : {1, 2}
+        1: above 300 kW or shaft height from 315 mm; 2: 15 to 300 kW, shaft height 160 to 315 mm.
+    support : {"rigid", "flexible"}
+        Rigid: the lowest natural frequency of machine and support is at least 25 % above the speed.
+    """
+
+    group: Literal[1, 2]
+    support: Literal["rigid", "flexible"]
+
+
 @dataclass(frozen=True, slots=True)
 class CustomLaw:
     """A user's own restoring force: an expression, or an effect defined in a Python module.
@@ -208,6 +224,8 @@ class Model:
         Of the rig, for the user.
     anti_alias : AntiAlias or None
         The recorder's anti-alias filter, undone in all channels of motion and force. None: no filter known.
+    iso20816 : MachineClass or None
+        Class of the machine for zones of its vibration. None: no zone.
     """
 
     channels: tuple[Channel, ...]
@@ -229,6 +247,7 @@ class Model:
     background: Background | None = None
     name: str = ""
     anti_alias: AntiAlias | None = None
+    iso20816: MachineClass | None = None
 
     @property
     def places(self) -> tuple[str, ...]:

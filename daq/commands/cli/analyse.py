@@ -1,4 +1,4 @@
-"""fit, compare, diagnose, improve, theory, reproduce, confusion: what the data say about the model."""
+"""severity, fit, compare, diagnose, improve, theory, reproduce, confusion: what the data say about the model."""
 
 from __future__ import annotations
 
@@ -28,6 +28,24 @@ class Method(StrEnum):
     fokker_planck = "fokker-planck"
     score_matching = "score-matching"
     volterra = "volterra"
+
+
+@of_a_part
+def severity(
+    log: LogArgument,
+    rig: RigOption,
+    html: HtmlOption = None,
+    rerun: RerunOption = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    *,
+    part: Part,
+) -> None:
+    """First numbers of each channel: rms, peak, crest, kurtosis, velocity with its zone of ISO 20816, band levels."""
+    from daq.commands.severity import severity as body
+
+    body(Output(json, quiet, verbose), log, rig, html, rerun, part)
 
 
 @of_a_part
@@ -155,5 +173,5 @@ def confusion(
 
 
 def register(app: typer.Typer) -> None:
-    for command in (fit, compare, diagnose, improve, theory, reproduce, confusion):
+    for command in (severity, fit, compare, diagnose, improve, theory, reproduce, confusion):
         app.command(rich_help_panel="Identify")(command)

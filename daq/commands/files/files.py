@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
@@ -15,6 +16,8 @@ from daq.base.contract.dates import utc_text
 from daq.base.contract.errors import ConfigError, LogError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.log.reader import Recording, read_log
+from daq.report.first_numbers import void_lines
+from daq.report.layers import lines
 from daq.rig.edit import of_channels
 from daq.rig.rig import Rig
 from drivers.contract import Notice
@@ -27,7 +30,7 @@ def info(output: Output, log: Path, part: Part = WHOLE_RECORD) -> None:
     from .facts import info as facts
 
     recording = read_log(log, part=part)
-    found = _findings(recording)
+    found, levels = _looked_at(recording)
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
@@ -35,23 +38,39 @@ def info(output: Output, log: Path, part: Part = WHOLE_RECORD) -> None:
         ("channels' faults" if not k else "", t) for k, (_, t) in enumerate(found)
     ]:
         table.add_row(heading, Text(text))
-    value = facts(recording) | {"findings": [{"code": code, "text": text} for code, text in found]}
+    if levels:
+        units = {name: own["unit"] for name, own in levels.items()}
+        said = [line for _, line in lines({"record": {"channels": levels, "findings": ()}}, units)]
+        said += void_lines({n: own | {"void": {k: t for k, t in own["void"].items() if k not in ("bands", "zone")}}
+                            for n, own in levels.items()})  # fmt: skip
+        for k, line in enumerate(said):
+            table.add_row("levels" if not k else "", Text(line))
+    value = (
+        facts(recording) | {"severity": levels} | {"findings": [{"code": code, "text": text} for code, text in found]}
+    )
     output.result(value, table)
 
 
-def _findings(log: Recording) -> list[tuple[str, str]]:
-    """What makes the record unfit to be judged, by the log's own rig file; nothing that its notices say already."""
-    from daq.exchange.measurement import findings
+def _looked_at(log: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+    """What makes the record unfit to be judged, nothing that its notices say already; severity by channel.
+
+    By the log's own rig file; nothing of a long log.
+    """
+    from daq.log.rig_samples import rig_samples
+    from estimator.identification.record import severity, survey_record
 
     if log.n_samples * len(log.channels) > SURVEYED_VALUES or log.lost_samples > 10 * log.n_samples:
-        return []
+        return [], {}
     try:
         rig = of_channels(Rig.parse(log.rig_text), log.channels if log.info is not log.device_info else ())
-        y = log.samples(rig, lambda text: None)
+        y, full_scale = rig_samples(log, rig, lambda text: None)
     except (ConfigError, LogError):  # no rig file, or one of another record
-        return []
+        return [], {}
+    survey = survey_record(rig.model, y, log.rate_hz)
+    levels = severity(rig.model, y, log.rate_hz, survey, full_scale)
     said = {notice.code for notice in log.notices}
-    return [(code, text) for code, text in findings(y, log.rate_hz, rig, SURVEYED_VALUES) if code not in said]
+    found = [(f.code, f.text) for f in survey.findings if f.code not in said]
+    return found, {name: own.to_json() for name, own in levels.items()}
 
 
 def _rows(log: Recording) -> list[tuple[str, str]]:

@@ -46,10 +46,14 @@ def log_comparison(
     title: str = "comparison",
     notes: Sequence[str] = (),
     signal: Json | None = None,
+    seen: Json | None = None,
 ) -> None:
-    """Show the comparison with its layout. comparison : None where no model of the bearings is judged; signal :
-    measured spectra; target : an .rrd file, "spawn" or a viewer's URL (viewer_target); before :
-    of the model before anything was added. Raises LinkError if there is no viewer at the URL."""
+    """Show the comparison with its layout.
+
+    comparison : None where no model of the bearings is judged; before : of the model before anything was added;
+    signal : measured spectra; seen : layers of a record that no model was asked about; target : an .rrd file, "spawn"
+    or a viewer's URL (viewer_target). Raises LinkError if there is no viewer at the URL.
+    """
     import rerun as rr
 
     recording = rr.RecordingStream("rotorscope_comparison")
@@ -71,7 +75,7 @@ def log_comparison(
         for name, drawing in picture.frame.frame():
             recording.log(f"{entity}/{name}", drawing, static=True)
         recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series), static=True)
-    texts = documents(title, comparison, before, diagnoses, ladder, notes)
+    texts = documents(title, comparison, before, diagnoses, ladder, notes, seen)
     for name, text in texts.items():
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         recording.log(name.lower(), page, static=True)

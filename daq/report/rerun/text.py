@@ -16,7 +16,7 @@ Json = Mapping[str, Any]
 
 def documents(
     title: str, comparison: Json | None, before: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json],
-    notes: Sequence[str],
+    notes: Sequence[str], seen: Json | None = None,
 ) -> dict[str, str]:  # fmt: skip
     """Heading -> Markdown, in the order of the tabs."""
     out = {"Summary": summary(title, comparison, diagnoses, ladder, notes)}
@@ -26,7 +26,7 @@ def documents(
         ]
         heads = ("model", "channel", "against", "region", "share of the missing force")
         out["Map"] = "# Where the model fails\n\n" + table(heads, cells)
-    if diagnoses and (rows_of_layers := layers.lines(diagnoses[0], {})):
+    if rows_of_layers := layers.lines(diagnoses[0] if diagnoses else seen or {}, {}):
         out["Layers"] = "# What the record shows\n\n" + table(("layer", ""), rows_of_layers)
     if diagnoses:
         out["Diagnosis"] = "\n\n".join(diagnosed(d) for d in diagnoses)

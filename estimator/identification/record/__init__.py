@@ -3,21 +3,25 @@
 from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
+from .severity import ChannelSeverity, iso_zone, severity
 from .spikes import spike_rows
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
 
 __all__ = [
     "CLIPPED_CODE",
+    "ChannelSeverity",
     "ChannelSummary",
     "RecordFinding",
     "RecordSurvey",
     "UsableRecord",
     "clipping_level",
+    "iso_zone",
     "level_parameter",
     "moments",
     "pileup_p_value",
     "record_messages",
+    "severity",
     "spike_rows",
     "survey_record",
     "usable_record",

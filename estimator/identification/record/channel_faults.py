@@ -36,6 +36,8 @@ class ChannelRecord:
         Sampling rate, Hz.
     moments : Moments
         Of the finite samples.
+    reach_hz : float
+        Frequency up to which a level is known, Hz.
     limits : Thresholds
         Limits of the checks.
     """
@@ -44,12 +46,13 @@ class ChannelRecord:
     y: Array
     rate_hz: float
     moments: Moments
+    reach_hz: float
     limits: Thresholds = RECORD_THRESHOLDS
 
     @cached_property
     def summary(self) -> ChannelSummary:
         """What the user is told of the channel."""
-        return summarise(self.y, self.channel.kind, self.rate_hz, self.moments)
+        return summarise(self.y, self.channel.kind, self.rate_hz, self.reach_hz, self.moments)
 
     @cached_property
     def robust(self) -> tuple[float, float]:

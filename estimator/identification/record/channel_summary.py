@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from estimator.arrays import Array
+from estimator.model.recorder import AntiAlias
 
 from .findings import ChannelSummary
 
 ISO_BAND_HZ = (10.0, 1000.0)  # of the velocity, ISO 20816-1
+RATE_PER_PASSED_HZ = 2.56  # of a recorder whose filter is not known: the habit of analysers since the first ones
+MIN_PASSED_AMPLITUDE = 0.8  # of the filter at an edge of a band: tolerance of ISO 2954 at 10 and 1000 Hz
 MIN_STRETCH_S = 1.0  # ten periods of the lower edge
 SEGMENT_S = 2.0  # of the spectrum that is integrated to velocity
 MAX_SEGMENTS = 256  # of an averaged spectrum, spread over the record: its random error is 6 %, of a band far less
@@ -90,12 +93,25 @@ def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -
     return np.asarray(np.fft.rfftfreq(samples, 1.0 / rate_hz)), total, count
 
 
-def velocity_rms(y: Array, kind: str, rate_hz: float, scale: float = 1.0) -> float | None:
+def usable_hz(recorder: AntiAlias | None, rate_hz: float) -> float:
+    """Frequency in Hz up to which a level is known: the filter passes 80 % of it, and nothing is folded in.
+
+    recorder : the filter of the rig file. None: not known, and the rate over 2.56 is taken.
+    """
+    if recorder is None:
+        return rate_hz / RATE_PER_PASSED_HZ
+    f: Array = np.linspace(0.0, 0.5 * rate_hz, 2000)
+    beyond = np.flatnonzero(np.abs(recorder.response(f, rate_hz)) < MIN_PASSED_AMPLITUDE)
+    return min(float(f[beyond[0]]) if beyond.size else 0.5 * rate_hz, recorder.trusted_to_hz(rate_hz))
+
+
+def velocity_rms(y: Array, kind: str, rate_hz: float, reach_hz: float, scale: float = 1.0) -> float | None:
     """Velocity from 10 to 1000 Hz in m/s rms; None where `ChannelSummary` says so.
 
-    y : (n,) m/s^2 or m/s. scale : size of the samples: powers of numbers about 1 neither overflow nor vanish.
+    y : (n,) m/s^2 or m/s. reach_hz : up to which a level is known. scale : size of the samples: powers of numbers about
+    1 neither overflow nor vanish.
     """
-    if kind not in ("acceleration", "velocity") or rate_hz < 2.0 * ISO_BAND_HZ[1]:
+    if kind not in ("acceleration", "velocity") or reach_hz < ISO_BAND_HZ[1]:
         return None
     longest = longest_stretch(y)
     if longest < MIN_STRETCH_S * rate_hz:
@@ -153,7 +169,7 @@ def moments(y: Array) -> Moments:
     return replace(own, kurtosis=fourth / count / power**2, crest=peak / sd)
 
 
-def summarise(y: Array, kind: str, rate_hz: float, own: Moments | None = None) -> ChannelSummary:
+def summarise(y: Array, kind: str, rate_hz: float, reach_hz: float, own: Moments) -> ChannelSummary:
     """Summary of a channel.
 
     Parameters
@@ -164,15 +180,17 @@ def summarise(y: Array, kind: str, rate_hz: float, own: Moments | None = None) -
         Kind of the channel, such as "acceleration".
     rate_hz : float
         Sampling rate, Hz.
-    own : Moments or None
-        Of these samples; None: they are computed.
+    reach_hz : float
+        Frequency up to which a level is known, Hz.
+    own : Moments
+        Of these samples.
     """
-    m = moments(y) if own is None else own
+    m = own
     if not m.count:
         return ChannelSummary()
     if not m.crest:
         return ChannelSummary(rms=0.0, peak=0.0)
-    velocity = velocity_rms(y, kind, rate_hz, max(m.high, -m.low))
+    velocity = velocity_rms(y, kind, rate_hz, reach_hz, max(m.high, -m.low))
     return ChannelSummary(
         rms=m.sd,
         peak=max(m.high - m.mean, m.mean - m.low),

@@ -8,6 +8,8 @@ from scipy.special import betainc
 from estimator.arrays import Array
 
 EXTREME_RANGE_REL = 0.3  # of the range of a channel from its extreme: so close to it are few samples of a vibration
+ROUNDING_REL = 1e-9  # of the extreme value: values of a computed tone that differ by less are one
+MAX_REPEATED_VALUES = 64  # different values near the extreme of a clean tone with a whole number of samples a period
 MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as have the next value
 
 
@@ -39,6 +41,8 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     size = np.abs(y[(y > (1.0 - EXTREME_RANGE_REL) * top) | (y < (EXTREME_RANGE_REL - 1.0) * top)])
     if size.size <= 40:
         return None
+    if len(np.unique(np.round(size / top, 6))) <= MAX_REPEATED_VALUES:  # no noise: the same crest again and again
+        return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
     before = int(np.sum((size > 0.965 * edge) & (size <= 0.979 * edge)))
@@ -56,11 +60,13 @@ def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int
 def _pileup(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it; None if a falling density allows as many."""
     top = z.max()
-    count = int(np.count_nonzero(z == top))
-    below = z[z < top]
+    equal = z >= top - ROUNDING_REL * abs(top)
+    count = int(np.count_nonzero(equal))
+    below = z[~equal]
     if count <= MIN_PILE_SAMPLES or not below.size:
         return None
-    return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + MIN_PILE_SAMPLES else None
+    next_count = np.count_nonzero(below >= below.max() - ROUNDING_REL * abs(top))
+    return (float(top), count) if count > 3 * next_count + MIN_PILE_SAMPLES else None
 
 
 def pileup_p_value(count: int) -> float:

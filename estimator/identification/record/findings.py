@@ -26,7 +26,7 @@ class ChannelSummary:
         Fourth moment over the squared second moment, 3 of a Gaussian signal; None of a constant channel.
     velocity_rms_mm_s : float or None
         Velocity from 10 to 1000 Hz, mm/s rms (ISO 20816-1). None of other kinds than acceleration and velocity, of
-        records without a stretch of 1 s, and at rates below 2 kHz.
+        records without a stretch of 1 s, and where the recorder does not pass 1000 Hz.
     """
 
     rms: float | None = None

@@ -11,7 +11,7 @@ from estimator.model.rig import Channel, Model
 
 from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
-from .channel_summary import moments, stretches
+from .channel_summary import moments, stretches, usable_hz
 from .findings import RecordFinding, RecordSurvey
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
@@ -43,7 +43,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     y = real_samples(y)
     if y.ndim != 2 or y.shape[1] != len(model.channels) or not (np.isfinite(rate_hz) and rate_hz > 0.0):
         return RecordSurvey()  # no record of this rig: said by what uses it
-    largest = RECORD_THRESHOLDS.max_value_si
+    largest, reach_hz = RECORD_THRESHOLDS.max_value_si, usable_hz(model.anti_alias, rate_hz)
     records, found, summaries = [], [], {}
     for k, channel in enumerate(model.channels):
         z = np.ascontiguousarray(y[:, k])  # read more than ten times
@@ -54,7 +54,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
             absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
             z = np.where(wrong, np.nan, z)
             own = moments(z)
-        one = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=own)
+        one = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=own, reach_hz=reach_hz)
         found += find_channel_faults(one, absurd)
         summaries[channel.name] = one.summary
         records.append(one if absurd else replace(one, y=y[:, k]))

@@ -1,0 +1,71 @@
+"""The body of severity: the first numbers of a record, channel by channel, and pictures of its spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from daq.base.console.output import Output
+from daq.base.contract.part import WHOLE_RECORD, Part
+from daq.exchange.measurement import Measurement
+from daq.report.first_numbers import band_rows, severity_rows, void_lines, with_severity, zone_line
+from daq.rig.rig import Rig
+
+from .analyse import Pages, about, given, origin
+
+
+def severity(
+    output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None, part: Part = WHOLE_RECORD
+) -> None:
+    pages = Pages(html, rerun)
+    rig, data = given(output, log, rig_path, ("estimator.identification.record",), part)
+    from estimator.identification.record import severity as severity_of
+    from estimator.identification.record import survey_record
+
+    with output.progress("measuring"), about(log, data):
+        survey = survey_record(rig.model, data.y, data.rate_hz)
+        levels = severity_of(rig.model, data.y, data.rate_hz, survey, data.full_scale)
+    channels = {name: own.to_json() for name, own in levels.items()}
+    own = rig.model.iso20816
+    machine = None if own is None else {"part": 3, "group": own.group, "support": own.support}
+    findings = [finding.to_json() for finding in survey.findings]
+    value: dict[str, Any] = {
+        "schema": 1,
+        "channels": channels,
+        "zone": max((c["zone"] for c in channels.values() if c["zone"]), default=None),
+        "iso20816": machine,
+        "findings": findings,
+    }
+    if pages:
+        _write_pages(pages, rig, data, with_severity(survey.to_json(), levels))
+    people: list[Any] = [cells_table(*severity_rows(channels)), ""]
+    if (rows := band_rows(channels))[1]:
+        people += [cells_table(*rows), ""]
+    people += [f"note: {finding['text']}" for finding in findings]
+    people += void_lines(channels)
+    people += [line for line in (zone_line(channels, machine),) if line]
+    output.result(value | origin(log, rig_path, rig, data), *people, *pages.said())
+
+
+def cells_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table of numbers: the first column is a name."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for k, heading in enumerate(headings):
+        table.add_column(Text(heading), justify="right" if k else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def _write_pages(pages: Pages, rig: Rig, data: Measurement, record: dict[str, Any]) -> None:
+    """Spectra with the tones and strike trains of the record, by order of the shaft where its speed is known."""
+    from daq.report.signal_spectra import signal_spectra
+    from estimator.identification.machine import survey_machine
+
+    machine = survey_machine(rig.model, data.y, data.rate_hz).to_json()
+    seen = {"record": record, "machine": machine}
+    pages.write(rig, data, signal=signal_spectra(rig.model, data.y, data.rate_hz, seen), seen=seen)
