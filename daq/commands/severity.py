@@ -40,14 +40,16 @@ def severity(
         "iso20816": machine,
         "findings": findings,
     }
+    said = [line for line in (zone_line(channels, machine),) if line]
     if pages:
-        _write_pages(pages, rig, data, with_severity(survey.to_json(), levels))
+        record = with_severity(survey.to_json(), levels)
+        _write_pages(pages, rig, data, record, [*(line[0].upper() + line[1:] for line in said), *void_lines(channels)])
     people: list[Any] = [cells_table(*severity_rows(channels)), ""]
     if (rows := band_rows(channels))[1]:
         people += [cells_table(*rows), ""]
     people += [f"note: {finding['text']}" for finding in findings]
     people += void_lines(channels)
-    people += [line for line in (zone_line(channels, machine),) if line]
+    people += said
     output.result(value | origin(log, rig_path, rig, data), *people, *pages.said())
 
 
@@ -61,11 +63,11 @@ def cells_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table
     return table
 
 
-def _write_pages(pages: Pages, rig: Rig, data: Measurement, record: dict[str, Any]) -> None:
+def _write_pages(pages: Pages, rig: Rig, data: Measurement, record: dict[str, Any], said: Sequence[str]) -> None:
     """Spectra with the tones and strike trains of the record, by order of the shaft where its speed is known."""
     from daq.report.signal_spectra import signal_spectra
     from estimator.identification.machine import survey_machine
 
     machine = survey_machine(rig.model, data.y, data.rate_hz).to_json()
-    seen = {"record": record, "machine": machine}
+    seen = {"record": record, "machine": machine, "said": said}
     pages.write(rig, data, signal=signal_spectra(rig.model, data.y, data.rate_hz, seen), seen=seen)

@@ -49,7 +49,7 @@ def of(curves: Sequence[Json], channel: str, against: str) -> list[Json]:
 
 
 def laws(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
-    """Restoring force beyond a straight line, as measured with its band, and as the models have it."""
+    """Restoring force beyond a straight line, as estimated with its band, and as the models have it."""
     channels = list(dict.fromkeys(c["channel"] for c in after))
     against = [a for a in AXIS_OF_STATE if any(c["against"] == a for c in after)]
     if not channels or not against:
@@ -62,16 +62,16 @@ def laws(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
         (law,) = of(after, channel, kind)
         old = of(before, channel, kind)
         name, base = AXIS_OF_STATE[kind]
-        x_gain, x_unit = scaled([law["at"]], base)
+        x_gain, x_unit = scaled((k["at"] for k in after if k["against"] == kind), base)  # both directions in one unit
         low, high = floats(law["band_low"]), floats(law["band_high"])
         known = high - low <= 4 * np.nanmedian(high - low)
         top = 1.15 * float(np.nanmax([np.abs(floats(law[k]))[known].max(initial=0) for k in ("measured", "model")]))
         top = max(top, 2 * float(np.nanmedian(high - low))) or 1.0
-        gain, unit = prefix(top, "N")
+        gain, unit = scaled((k["measured"] for k in after if k["against"] == kind), "N")
         x = floats(law["at"]) * x_gain
         ax.axhline(0, color="#888888", linewidth=0.8)
         ax.fill_between(x, low * gain, high * gain, color=MEASURED_COLOUR, alpha=0.22, linewidth=0)
-        ax.plot(x, floats(law["measured"]) * gain, color=MEASURED_COLOUR, linewidth=1.3, label="measured")
+        ax.plot(x, floats(law["measured"]) * gain, color=MEASURED_COLOUR, linewidth=1.3, label="estimated")
         for k in old:
             old_x, old_y = floats(k["at"]) * x_gain, floats(k["model"]) * gain
             ax.plot(old_x, old_y, color=BEFORE_COLOUR, linewidth=1.5, dashes=(4, 2), label="before")

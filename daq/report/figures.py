@@ -35,6 +35,7 @@ AXIS_OF_STATE = {
 }
 LEFT_INCHES, RIGHT_INCHES, BOTTOM_INCHES, TOP_INCHES = 0.72, 0.16, 0.46, 0.28  # inches about each picture of a grid
 BETWEEN_INCHES = 0.3  # of those that share an axis
+MIN_PEAK_DB, MAX_RESONANCES = 3.0, 4  # of a predicted resonance: height over its surroundings; how many are marked
 STATES_BY_PRIORITY = ("displacement", "velocity", "shaft_angle", "other_direction")  # of which curves are drawn
 
 
@@ -175,7 +176,7 @@ def decade_ticks(ax: Axes) -> None:
 
 
 def spectra(after: Json, before: Json, distance_db: Json, unit: str = "m/s^2") -> str | None:
-    """Measured and modelled one-sided PSD by channel."""
+    """Measured and modelled one-sided PSD by channel, with the resonances that the model predicts."""
     if not after:
         return None
     figure, axes = grid_of(list(after))
@@ -193,6 +194,10 @@ def spectra(after: Json, before: Json, distance_db: Json, unit: str = "m/s^2") -
                 label="before",
             )
         ax.loglog(f, floats(s["model"]), color=MODEL_COLOUR, linewidth=1.3, label="this model")
+        for hz in resonances(f, floats(s["model"])):
+            ax.axvline(hz, color=MODEL_COLOUR, linewidth=0.7, linestyle=":")
+            ax.annotate(f"{hz:.4g} Hz", (hz, 1), xycoords=("data", "axes fraction"), xytext=(2, -8),
+                        textcoords="offset points", fontsize=6.5, color=MODEL_COLOUR)  # fmt: skip
         d = f"   {distance_db[channel]:.1f} dB apart" if channel in distance_db else ""
         decade_ticks(ax)
         label_axes(ax, "frequency, Hz", f"PSD, ({unit_text(unit)})²/Hz", channel + d)
@@ -201,16 +206,27 @@ def spectra(after: Json, before: Json, distance_db: Json, unit: str = "m/s^2") -
     return svg(figure, "spectra")
 
 
+def resonances(f: Array, model: Array) -> list[float]:
+    """Frequencies in Hz at which the spectrum of a model peaks by 3 dB or more: its resonances as they are seen."""
+    from scipy.signal import find_peaks
+
+    there = np.isfinite(model) & (model > 0)
+    if not there.any():
+        return []
+    peaks, _ = find_peaks(10.0 * np.log10(model[there]), prominence=MIN_PEAK_DB)
+    return [float(hz) for hz in f[there][peaks[:MAX_RESONANCES]]]
+
+
 def densities(after: Json, before: Json, distance: Json) -> str | None:
     """Probability density of the displacement in the analysis band, logarithmic: the tails tell the law."""
     if not after:
         return None
     figure, axes = grid_of(list(after))
+    gain, unit = prefix(max(float(np.nanmax(np.abs(floats(d["at"])), initial=0)) for d in after.values()), "m")
     for k, (ax, (channel, d)) in enumerate(zip(axes, after.items(), strict=False)):
         at = floats(d["at"])
-        gain, unit = prefix(float(np.nanmax(np.abs(at), initial=0)), "m")
         for values, colour, dashes, label in (
-            (d["measured"], MEASURED_COLOUR, (), "measured"),
+            (d["measured"], MEASURED_COLOUR, (), "estimated"),
             (before.get(channel, {}).get("model"), BEFORE_COLOUR, (4, 2), "before"),
             (d["model"], MODEL_COLOUR, (), "this model"),
         ):
@@ -228,7 +244,7 @@ def densities(after: Json, before: Json, distance: Json) -> str | None:
 
 
 def orbits(pairs: Json) -> str | None:
-    """Measured orbit beside that of the simulated twin, one row a bearing."""
+    """Orbit estimated from the record beside that of the simulated twin, one row a bearing."""
     if not pairs:
         return None
     figure, axes = new_figure(7.0, 3.3 * len(pairs) + 0.2, len(pairs), 2, sharex="row", sharey="row")
@@ -243,7 +259,7 @@ def orbits(pairs: Json) -> str | None:
             ax.plot(x * gain, y * gain, color=colour, linewidth=0.6, alpha=0.8)
             ax.set_aspect("equal", adjustable="box")
             label_axes(
-                ax, f"x, {unit}", f"y, {unit}", f"{bearing}: {'measured' if name == 'measured' else 'this model'}"
+                ax, f"x, {unit}", f"y, {unit}", f"{bearing}: {'estimated' if name == 'measured' else 'this model'}"
             )
     return svg(figure, "orbits")
 

@@ -67,8 +67,8 @@ def render(
 
     signal : measured spectra; comparison : of the model as it is now, None where no model of the bearings is judged;
     before : of the model before anything was added; diagnoses : of every model of the ladder, in order; notes : what
-    the improvement said; seen : layers of a record that no model was asked about; facts : log, rig, length of the
-    record ... as the head of the page shows them.
+    the improvement said; seen : layers of a record that no model was asked about, and what is `said` of it; facts :
+    log, rig, length of the record ... as the head of the page shows them.
     """
     from jinja2 import Environment, StrictUndefined
 
@@ -89,7 +89,7 @@ def render(
     return template.render(
         title=title,
         facts=dict(facts) | {"made by": f"rotorscope {version()}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"},
-        summary=words.summary(comparison, diagnoses, ladder),
+        summary=words.summary(comparison, diagnoses, ladder) or list(seen.get("said", ())),
         pictures=pictures(now, old, ladder, before is not None) | signal_figures.pictures(signal),
         layers=layers.lines(diagnoses[0] if diagnoses else seen, measured_units(signal)),
         comparison=comparison,

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .figures import (
     BEFORE_COLOUR,
@@ -31,10 +32,12 @@ LABEL_ROWS = 5  # that labels close together are spread over; more of them are l
 
 
 def pictures(signal: Json) -> dict[str, str | None]:
-    """SVG by name: measured, envelopes, modes; None where there is nothing to show."""
+    """SVG by name: measured, orders, envelopes, waterfalls, modes; None where there is nothing to show."""
     return {
         "measured": measured(signal.get("spectra", {})),
         "envelopes": envelopes(signal.get("envelopes", {})),
+        "orders": orders(signal.get("orders", {})),
+        "waterfalls": waterfalls(signal.get("waterfalls", {})),
         "modes": modes(signal),
     }
 
@@ -73,8 +76,52 @@ def envelopes(spectra: Json) -> str | None:
 
 
 def _multiples(name: str) -> Sequence[int]:
-    """Harmonics that are marked; of the cage the first alone."""
-    return (1,) if name == "FTF" else range(1, HARMONICS_MARKED + 1)
+    """Harmonics that are marked; of the cage and the shaft the first alone."""
+    return (1,) if name in ("FTF", "1X") else range(1, HARMONICS_MARKED + 1)
+
+
+def orders(spectra: Json) -> str | None:
+    """Amplitude of lines by channel against the order of the shaft, with the orders of the bearing."""
+    if not spectra:
+        return None
+    figure, axes = grid_of(list(spectra), height=2.9)
+    for ax, (channel, s) in zip(axes, spectra.items(), strict=False):
+        order, amplitude = floats(s["order"]), floats(s["amplitude"])
+        ax.semilogy(order, np.where(amplitude > 0, amplitude, np.nan), color=MEASURED_COLOUR, linewidth=0.7)
+        _room_above(ax, amplitude)
+        ax.set_xlim(0, order[-1])
+        label_marks(ax, s["marks"])
+        label_axes(ax, "order of the shaft", f"amplitude, {unit_text(s['unit'])}", channel)
+    return svg(figure, "orders")
+
+
+def waterfalls(falls: Json) -> str | None:
+    """Level of the spectrum by channel against time and frequency."""
+    if not falls:
+        return None
+    figure, axes = grid_of(list(falls), height=2.9)
+    for ax, (channel, s) in zip(axes, falls.items(), strict=False):
+        level = np.array([floats(row) for row in s["level_db"]])
+        low, high = level_range(level)
+        f = floats(s["frequency_hz"])
+        image = ax.pcolormesh(
+            floats(s["time_s"]), f, level.T, cmap="viridis", vmin=low, vmax=high, rasterized=True, shading="nearest"
+        )
+        ax.set_yscale("log")
+        ax.set_ylim(max(f[0], 1e-3 * f[-1]), f[-1])
+        ax.grid(visible=False)
+        label_axes(ax, "time, s", "frequency, Hz", f"{channel}, dB of ({unit_text(s['unit'])})²/Hz")
+        ax.figure.colorbar(image, ax=ax, pad=0.01).ax.tick_params(labelsize=7)
+    return svg(figure, "waterfalls")
+
+
+def level_range(level: NDArray[np.float64]) -> tuple[float, float]:
+    """Levels in dB between which colours run: 60 dB below the loudest cell at most."""
+    there = level[np.isfinite(level)]
+    if not there.size:
+        return -1.0, 0.0
+    high = float(np.quantile(there, 0.999))
+    return max(high - 60.0, float(np.quantile(there, 0.02))), high
 
 
 def _room_above(ax: Axes, psd: Any) -> None:

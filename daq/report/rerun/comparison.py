@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from daq.report.curves import force_reach, scaled
 from daq.report.figures import AXIS_OF_STATE, STATES_BY_PRIORITY, floats
 from daq.report.numbers import unit_text
+from daq.report.signal_figures import level_range
 from drivers.contract import LinkError
 
 from . import plane as plane
@@ -25,6 +26,7 @@ Json = Mapping[str, Any]
 Series = tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]
 MEASURED_COLOUR, MODEL_COLOUR, BEFORE_COLOUR = (200, 200, 200), (86, 180, 233), (230, 159, 0)
 DARK_COLOUR = (95, 95, 95)
+WATERFALL_COLOURS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # viridis
 BAND_COLOURS = {MODEL_COLOUR: (45, 85, 110), BEFORE_COLOUR: (105, 80, 25)}
 STEP_TIMELINE = "model"
 
@@ -70,11 +72,18 @@ def log_comparison(
             for name, drawing in picture.frame.frame():
                 recording.log(f"{entity}/{name}", drawing)
             recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
-    for entity, picture in (unknown(diagnoses) | measured(signal or {})).items():
+    for entity, picture in (unknown(diagnoses) | measured(signal or {}) | shaft_orders(signal or {})).items():
         drawn[entity] = picture.title
         for name, drawing in picture.frame.frame():
             recording.log(f"{entity}/{name}", drawing, static=True)
         recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series), static=True)
+    for channel, fall in (signal or {}).get("waterfalls", {}).items():
+        entity = f"waterfall/{part(channel)}"
+        frame, image = waterfall(fall)
+        recording.log(f"{entity}/level", rr.Image(image), static=True)
+        for name, drawing in frame.frame():
+            recording.log(f"{entity}/{name}", drawing, static=True)
+        drawn[entity] = f"{channel}, level of the spectrum [dB of ({unit_text(fall['unit'])})²/Hz]"
     texts = documents(title, comparison, before, diagnoses, ladder, notes, seen)
     for name, text in texts.items():
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
@@ -231,6 +240,23 @@ def measured(signal: Json) -> dict[str, Picture]:
     return found
 
 
+def shaft_orders(signal: Json) -> dict[str, Picture]:
+    """Amplitude of lines against the order of the shaft by channel; the marks are lines over the whole height."""
+    found: dict[str, Picture] = {}
+    for channel, s in signal.get("orders", {}).items():
+        order, amplitude = floats(s["order"]), floats(s["amplitude"])
+        y = plane.Axis(*plane.decades(amplitude), unit_text(s["unit"]), log=True)
+        x = plane.Axis(0.0, float(order.max()), "order of the shaft")
+        lines: list[Series] = [
+            (np.array([at, at]), np.array([y.low, y.high]), DARK_COLOUR) for at, _ in s["marks"] if at <= x.high
+        ]
+        named = ", ".join(f"{label} {at:.3g}" for at, label in s["marks"] if at <= x.high)
+        found[f"signal/orders_{part(channel)}"] = Picture(
+            plane.Plane(x, y), [*lines, (order, amplitude, MEASURED_COLOUR)], f"{channel}, orders: {named}"
+        )
+    return found
+
+
 def densities(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     found: dict[str, Picture] = {}
     for channel, d in steps[now].get("densities", {}).items():
@@ -254,11 +280,29 @@ def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, Picture]:
         both = [values for key in ("measured", "model") for values in o[key]]
         gain, unit = scaled(both, "m")
         side = span(both, gain, unit)
-        for key, shade in (("measured", MEASURED_COLOUR), ("model", colour)):
+        for key, shade, name in (("measured", MEASURED_COLOUR, "estimated"), ("model", colour, "model")):
             series = [(floats(o[key][0]) * gain, floats(o[key][1]) * gain, shade)]
             frame = plane.Plane(side, side, plane.HEIGHT_UNITS)
-            found[f"orbit/{part(bearing)}/{key}"] = Picture(frame, series, f"{bearing}, {key} [{unit}]")
+            found[f"orbit/{part(bearing)}/{key}"] = Picture(frame, series, f"{bearing}, {name} [{unit}]")
     return found
+
+
+def waterfall(fall: Json) -> tuple[plane.Plane, NDArray[np.uint8]]:
+    """Frame and picture (height, width, 3) of the level of a channel against time and frequency, dark is low."""
+    level = np.array([floats(row) for row in fall["level_db"]])
+    f, t = floats(fall["frequency_hz"]), floats(fall["time_s"])
+    frame = plane.Plane(
+        plane.Axis(0.0, float(t[-1]), "time, s"), plane.Axis(max(f[0], 1e-3 * f[-1]), float(f[-1]), "Hz", log=True)
+    )
+    across = np.searchsorted(t, np.linspace(t[0], t[-1], int(frame.width)), side="right") - 1
+    up = np.geomspace(frame.y.high, frame.y.low, int(plane.HEIGHT_UNITS))
+    rows = np.clip(np.searchsorted(f, up, side="right") - 1, 0, f.size - 1)
+    low, high = level_range(level)
+    share = np.nan_to_num(np.clip((level[across][:, rows].T - low) / (high - low or 1.0), 0.0, 1.0))
+    colours = np.array(WATERFALL_COLOURS, np.float64)
+    at = np.linspace(0.0, 1.0, len(colours))
+    picture = np.stack([np.interp(share, at, colours[:, k]) for k in range(3)], axis=-1)
+    return frame, picture.astype(np.uint8)
 
 
 def span(many: Iterable[Sequence[float]], gain: float, label: str) -> plane.Axis:
@@ -281,6 +325,7 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
     kinds = {
         "signal": "Measured",
+        "waterfall": "Waterfall",
         "law": "Law",
         "residual": "Residual force",
         "unknown": "Unknown",

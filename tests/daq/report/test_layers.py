@@ -69,7 +69,7 @@ def test_spectra_are_drawn_with_tones_and_defect_frequencies_also_of_many_short_
     y[:, 1244:] = np.nan
     signal = signal_spectra(HOUSING_RIG, y.reshape(-1, 1), RATE_HZ, diagnosis)
     assert signal["envelopes"]["de"]["band_hz"] == [2500.0, 4000.0]
-    assert {label for _, label in signal["envelopes"]["de"]["marks"]} == {"BPFO", "BPFI", "BSF", "FTF"}
+    assert {label for _, label in signal["envelopes"]["de"]["marks"]} == {"1X", "BPFO", "BPFI", "BSF", "FTF"}
     psd = np.array(signal["spectra"]["de"]["psd"])
     assert np.median(psd) == pytest.approx(2.0 / RATE_HZ, rel=0.2), "white noise of variance one"
     drawn = signal_figures.pictures(signal)
@@ -78,3 +78,33 @@ def test_spectra_are_drawn_with_tones_and_defect_frequencies_also_of_many_short_
     assert "* 3000 Hz, 2 %" in str(drawn["modes"])
     page = render("motor", diagnoses=[diagnosis], signal=signal)
     assert page.index("What the record shows") < page.index("Verdict:")
+
+
+def test_orders_of_shaft_and_bearing_stand_at_the_lines_of_a_record() -> None:
+    """A tone at twice the speed: its amplitude, at order 2; the orders of the bearing from its geometry."""
+    t = np.arange(int(20 * RATE_HZ)) / RATE_HZ
+    y = 3.0 * np.sin(2 * np.pi * 59.2 * t) + 1e-2 * np.random.default_rng(0).standard_normal(t.size)
+    machine = {"speed_rpm": {"value": 1776.0, "sd": 0.1, "source": "record"}}
+    found = signal_spectra(HOUSING_RIG, y[:, None], RATE_HZ, {"machine": machine})
+    own = found["orders"]["de"]
+    top = int(np.argmax(own["amplitude"]))
+    assert own["order"][top] == pytest.approx(2.0, abs=0.01)
+    assert own["amplitude"][top] == pytest.approx(3.0, rel=0.2)
+    assert [label for _, label in own["marks"]] == ["FTF", "1X", "2X", "BSF", "3X", "BPFO", "BPFI"]
+    assert [label for _, label in found["spectra"]["de"]["marks"]] == ["1X", "2X", "3X"]
+    assert "order of the shaft" in (signal_figures.pictures(found)["orders"] or "")
+
+
+def test_a_waterfall_follows_a_tone_that_moves_and_leaves_out_what_is_missing() -> None:
+    t = np.arange(int(10 * RATE_HZ)) / RATE_HZ
+    y = np.sin(2 * np.pi * (500.0 * t + 100.0 * t**2)) + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    y[int(4 * RATE_HZ) : int(5 * RATE_HZ)] = np.nan
+    fall = signal_spectra(HOUSING_RIG, y[:, None], RATE_HZ, {})["waterfalls"]["de"]
+    f = np.array(fall["frequency_hz"])
+    for at, row in zip(fall["time_s"], fall["level_db"], strict=True):
+        if row[0] is None:
+            assert 3.8 < at < 5.2
+        else:
+            assert f[int(np.argmax(row))] == pytest.approx(500.0 + 200.0 * at, rel=0.08)
+    assert any(row[0] is None for row in fall["level_db"])
+    assert signal_figures.pictures({"waterfalls": {"de": fall | {"unit": "m/s^2"}}})["waterfalls"]
