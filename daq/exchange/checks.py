@@ -18,7 +18,7 @@ from daq.rig.rig import Rig
 from daq.rig.rig_file import ChannelTable
 from daq.rig.units import canonical
 
-from .columns import Columns, in_part
+from .columns import Columns, in_part, plain, titled
 from .formats import RATE_TOLERANCE, read
 
 MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
@@ -26,6 +26,9 @@ NO_VALUE = 1e30  # in whatever unit: no sensor says so much, but instruments wri
 # Rates that a time column without a unit gives if it is taken as s, over what they are
 FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 FACTOR_TOLERANCE = 0.02
+RATE_IN_OTHER_UNIT = {"kHz, or its period in ms": 1e-3, "MHz, or its period in us": 1e-6, "mHz": 1e3}
+FREQUENCY_NAMES = frozenset({"frequency", "freq", "f", "hz", "frequenz", "fréquence"})
+COARSE_STEPS_SHARE = 0.05  # of a time column that stands still: its numbers are rounded
 # Titles of a table of CAN frames: of the identifier, and beginnings of those of length and bytes
 FRAME_TITLES = frozenset({"id", "identifier", "can id", "canid", "arbitration_id"}), frozenset({"dl", "le", "d0", "d1"})
 MOST_MISSING = 1_000_000  # samples in the holes of a record, beyond a hundred for each that is there
@@ -131,8 +134,12 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
     if value.ndim != 1:
         raise LogError(f"{path}: {name} is an array of shape {np.shape(columns.values[name])}; one column is needed")
     if value.dtype.kind not in "iuf":
-        raise LogError(f"{path}: {name} holds {value.dtype}, not real numbers; write it as float or int")
+        raise LogError(f"{path}: {name} holds {_kind(value)}, not real numbers; write it as float or int")
     return value
+
+
+def _kind(value: NDArray[Any]) -> str:
+    return "text or objects" if value.dtype.kind in "SUO" else str(value.dtype)
 
 
 def _rate(
@@ -147,7 +154,7 @@ def _rate(
         if said is not None and time.shape != (samples,):
             note(f"its time has {time.size} values where the channels have {samples}: not used, as it says a rate too")
         elif time.dtype.kind not in "iuf":
-            raise LogError(f"{path}: the time column holds {time.dtype}, not real numbers; give seconds")
+            raise LogError(f"{path}: the time column holds {_kind(time)}, not real numbers; give seconds")
         else:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # times at the end of the floats
                 of_time, rows = _uniform(path, time.astype(np.float64), samples, gaps)
@@ -162,6 +169,8 @@ def _rate(
     if said is not None and of_time is not None and abs(of_time / said - 1) > RATE_TOLERANCE:
         text = f"says a rate of {said:.6g} Hz, but its time gives {of_time:.6g} Hz"
         raise LogError(f"{path}: {text}; remove or correct the one that is wrong")
+    if said is not None and of_time is None and given is None and rig.acquisition is not None:
+        _look_at_unit(path, said, rig.acquisition.rate_hz)
     known = said if of_time is None else of_time if said is None else said
     if known is not None and not (np.isfinite(known) and known > 0):
         raise LogError(f"{path}: a rate of {known:g} Hz; correct the time column")
@@ -169,9 +178,19 @@ def _rate(
         raise LogError(
             f"{path}: the file says {known:.9g} Hz, --rate says {given:g} Hz; leave --rate out or correct it"
         )
+    if known is None and given is None and any(plain(titled(n)[0]) in FREQUENCY_NAMES for n in columns.values):
+        raise LogError(f"{path}: a table over frequency: a spectrum; export the samples in time")
     if known is None and given is None:
         raise LogError(f"{path}: does not say its sampling rate; give --rate HZ")
     return float(known if known is not None else given or 0.0), rows
+
+
+def _look_at_unit(path: Path, said_hz: float, expected_hz: float) -> None:
+    """Raise LogError where a rate beside samples is the expected one in another unit."""
+    for unit, factor in RATE_IN_OTHER_UNIT.items():
+        if abs(said_hz / expected_hz / factor - 1) < FACTOR_TOLERANCE:
+            text = f"says a rate of {said_hz:g} Hz, where the rig file expects {expected_hz:g} Hz: is it in {unit}"
+            raise LogError(f"{path}: {text}? Correct it there; if it is right, correct acquisition.rate_hz")
 
 
 def _uniform(path: Path, time: NDArray[np.float64], samples: int, gaps: bool) -> tuple[float, NDArray[np.int64] | None]:
@@ -182,6 +201,12 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int, gaps: bool) ->
         raise LogError(f"{path}: time at row {int(np.argmin(np.isfinite(time)))} is not a number; repair or cut it")
     steps = np.diff(time)
     step = float(np.median(steps))
+    if step >= 0 and (steps >= 0).all() and (steps == 0).mean() > COARSE_STEPS_SHARE:
+        row = int(np.argmax(steps == 0)) + 1
+        text = (
+            f"time stands still at row {row} ({time[row]:g} s), as its numbers are rounded more coarsely than it goes"
+        )
+        raise LogError(f"{path}: {text}; write more digits, or leave the time column out and give --rate")
     if step <= 0 or (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
         raise LogError(f"{path}: time does not increase at row {row} ({time[row]:g} s); sort or repair the time column")

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -25,6 +27,7 @@ from .leaves import Found, Told, fields_of, of_leaves, same_times
 REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
 MOST_LATE_SAMPLES = 0.25  # between the first samples of channels
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
+MOST_SPARSE = 100_000_000  # elements of a sparse matrix that are written out
 OLDEST_S = 315_532_800.0  # Unix time of 1980: dates before it are of clocks that were never set
 TIME_MASTER = 1  # asammdf's sync_type of a master channel that is a time; 0 of one that says nothing
 MASTER_KINDS = ("nothing", "time", "an angle", "a distance", "an index")
@@ -140,7 +143,8 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
     leaves: dict[str, Any] = {}
     for name, value in file.items():
         if not name.startswith("__"):
-            leaves.update(fields_of(name, value))
+            sparse = hasattr(value, "toarray") and math.prod(value.shape) <= MOST_SPARSE
+            leaves.update(fields_of(name, value.toarray() if sparse else value))
     found = of_leaves(leaves, names, ".")
     opaque = [k for k, v in file.items() if type(v).__name__ == "MatlabOpaque"]
     if opaque and not any(np.size(v) for v in found.values.values()):
@@ -212,15 +216,17 @@ class _Lazy:
 
 
 def _parquet(path: Path, names: Sequence[str]) -> Found:
-    try:
+    os.environ |= {"ARROW_DEFAULT_MEMORY_POOL": "system", "ARROW_IO_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    try:  # its own pool and threads take more addresses than a small file is granted
         from pyarrow import parquet
     except ImportError as error:
         raise Told("a Parquet file needs pyarrow: pip install rotorscope[files]; or export it to .csv") from error
     file = parquet.ParquetFile(path)
     schema = file.schema_arrow
     wanted = [n for n in schema.names if n in names or time_unit(n) is not None]
-    table = file.read(columns=wanted)
-    leaves: dict[str, Any] = {n: table[n].to_numpy() for n in wanted}
+    table = file.read(columns=wanted, use_threads=False)
+    exact = {f.name for f in schema if str(f.type).startswith("decimal")}
+    leaves: dict[str, Any] = {n: (table[n].cast("float64") if n in exact else table[n]).to_numpy() for n in wanted}
     leaves = {n: leaves.get(n, np.empty(0)) for n in schema.names}
     for key, value in (schema.metadata or {}).items():
         text = value.decode("utf-8", "replace")
@@ -243,7 +249,7 @@ READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Found]] = {
 
 def _plain(value: NDArray[Any]) -> NDArray[Any]:
     """Numbers as they are. Objects do not travel (they would need pickle): only that they are none is told."""
-    return value if value.dtype.kind in "biufcM" else np.zeros(value.shape[:1], "S1")
+    return value if value.dtype.kind in "biufcMm" else np.zeros(value.shape[:1], "S1")
 
 
 def _text(value: Any) -> NDArray[np.uint8]:

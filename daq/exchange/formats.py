@@ -76,7 +76,12 @@ def _npz(path: Path, names: Sequence[str]) -> Columns:
         file = np.load(stream, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
             raise LogError(f"{path}: one array without a name; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
-        return of_npz(path, file, names)
+        try:
+            return of_npz(path, file, names)
+        except ValueError as error:
+            if "allow_pickle" not in str(error):
+                raise
+            raise LogError(f"{path}: holds Python objects, not numbers; save arrays of float or int") from error
 
 
 def of_npz(path: Path, file: Mapping[str, Column], names: Sequence[str]) -> Columns:
@@ -120,6 +125,8 @@ def with_time(path: Path, columns: Columns, name: str, time: Column) -> Columns:
         stamps = time.astype("datetime64[ns]").astype(np.int64)
         first = int(stamps[0]) if stamps.size else None
         return replace(columns, time=(stamps - (first or 0)) * 1e-9, started_ns=columns.started_ns or first)
+    if time.dtype.kind == "m":
+        return replace(columns, time=time.astype("timedelta64[ns]").astype(np.int64) * 1e-9)
     if time.dtype.kind not in "iuf" or unit is None or time.ndim != 1:
         return replace(columns, time=time)  # said when it is needed
     seconds, started_ns = in_seconds(time.astype(np.float64), unit)

@@ -22,7 +22,10 @@ DATE_AT, TIME_AT = 320, 330  # bytes, in a bext chunk (EBU Tech 3285)
 def read_wav(path: Path, names: Sequence[str]) -> Columns:
     from scipy.io import wavfile
 
-    texts, missing = _texts(path)
+    texts, missing, unsaid = _texts(path)
+    if unsaid:
+        text = f"{unsaid} bytes follow where its head announces no samples: it was written through a pipe, or not ended"
+        raise LogError(f"{path}: {text}; copy or export it again")
     if missing:
         text = f"{missing} bytes of the samples it announces are missing: it is cut, or was written through a pipe"
         raise LogError(f"{path}: {text}; copy or export it again")
@@ -68,22 +71,23 @@ def _recorded(texts: dict[bytes, bytes]) -> int | None:
     return date_ns(f"{day.replace(':', '-').replace('_', '-')} {time.replace('-', ':')}")
 
 
-def _texts(path: Path) -> tuple[dict[bytes, bytes], int]:
-    """Chunks of text by name, and the bytes of samples that the file announces and does not hold.
+def _texts(path: Path) -> tuple[dict[bytes, bytes], int, int]:
+    """Chunks of text by name, the bytes of samples that the file announces and does not hold, and those it holds and
+    does not announce.
 
     The library takes what there is, and is silent.
     """
-    size, texts, missing = path.stat().st_size, dict[bytes, bytes](), 0
+    size, texts, missing, unsaid = path.stat().st_size, dict[bytes, bytes](), 0, 0
     with path.open("rb") as file:
         order: Literal["little", "big"] = "big" if file.read(12)[:4] == b"RIFX" else "little"
         for name, length, at in _chunks(file, order):
             if name == b"data":
-                missing = max(at + length - size, 0)
+                missing, unsaid = max(at + length - size, 0), 0 if length else size - at
             elif name in (b"bext", b"LIST"):
                 file.seek(at)
                 content = file.read(min(length, LONGEST_TEXT))
                 texts |= {name: content} if name == b"bext" else _listed(content, order)
-    return texts, missing
+    return texts, missing, unsaid
 
 
 def _chunks(file: BinaryIO, order: Literal["little", "big"]) -> Iterator[tuple[bytes, int, int]]:

@@ -13,6 +13,8 @@ UNITS_OF_KIND = MappingProxyType(
             "mm/s^2": 1e-3,
             "g": STANDARD_GRAVITY,
             "mg": 1e-3 * STANDARD_GRAVITY,
+            "ug": 1e-6 * STANDARD_GRAVITY,
+            "Gal": 1e-2,
             "cm/s^2": 1e-2,
             "um/s^2": 1e-6,
             "ft/s^2": 0.3048,
@@ -27,10 +29,14 @@ UNITS_OF_KIND = MappingProxyType(
 VOLTS_OF_UNIT = MappingProxyType({"V": 1.0, "mV": 1e-3, "uV": 1e-6})  # of channels with a sensitivity
 SI_UNIT = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS_OF_KIND.items()})
 OF_LAWS = frozenset(("m", "s", "kg", "N", "Hz", "rad", "J", "W", "Pa"))  # of a law's parameters
-_UNIT_SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
+_UNIT_SPELLINGS = str.maketrans(
+    {"²": "2", "¹": "1", "⁻": "-", "−": "-", "µ": "u", "μ": "u", "·": "*", "⋅": "*", "×": "*"}
+)
+_INVERSE_SECONDS = re.compile(r"(u?m|[cm]m|ft|in)[*.]?s\^?\(?-([12])\)?")  # "m*s^-2", "mm.s-1"
 _OTHER_SPELLINGS = MappingProxyType(
-    {"gn": "g", "g_n": "g", "G": "g", "gravity": "g", "g's": "g", "gs": "g", "mG": "mg", "micron": "um", "inch": "in",
-     "ips": "in/s", "mils": "mil", "volt": "V", "Volt": "V", "volts": "V", "Volts": "V", "newton": "N", "Newton": "N",
+    {"gn": "g", "g_n": "g", "G": "g", "gravity": "g", "g's": "g", "gs": "g", "mG": "mg", "gal": "Gal", "micron": "um",
+     "microns": "um", "inch": "in", "ips": "in/s", "mils": "mil", "thou": "mil", "lb": "lbf", "lbs": "lbf",
+     "volt": "V", "Volt": "V", "volts": "V", "Volts": "V", "newton": "N", "Newton": "N",
      "kp": "kgf"}
 )  # fmt: skip
 
@@ -42,6 +48,8 @@ def canonical(unit: str) -> str:
     if text.endswith("/s/s"):
         text = text[:-4] + "/s^2"
     text = text[:-3] + "/s^2" if text.endswith("/s2") else text
+    if inverse := _INVERSE_SECONDS.fullmatch(text):
+        text = inverse[1] + ("/s" if inverse[2] == "1" else "/s^2")
     return _OTHER_SPELLINGS.get(text, text)
 
 

@@ -1,9 +1,10 @@
-"""candump's logs: as `candump -L` and `-l` write them, or as on the screen; with times, or differences of them."""
+"""candump's logs: as `candump -L` and `-l` write them, or as on the screen; with times, dates, or differences."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Generator, Iterator
+from datetime import datetime
 from itertools import chain, islice
 from pathlib import Path
 
@@ -22,6 +23,7 @@ _SCREEN_LINE = re.compile(
     r"((?:remote request|ERRORFRAME|[0-9A-Fa-f]{2}(?:\s+[0-9A-Fa-f]{2})*)?)(?:\s+'.*')?(?:\s+ERRORFRAME.*)?"
 )
 _SCREEN_LOOK = re.compile(r"(?:\([^)]*\)\s+)?\S+\s+(?:(?:RX|TX)\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+_DATE_STAMP = re.compile(r"\((\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(\.\d{1,9}\))")  # of candump -tA, local time
 _LOOK_LINES = 200  # lines by which the kind of file is told
 _SHORTEST_FRAME_NS = 15_000  # on a bus: 47 bits at 5 Mbit/s, and the rest of a frame at 1 Mbit/s
 _LARGEST_STEP_NS = 3_600_000_000_000
@@ -31,7 +33,7 @@ _BACK_SHARE = 0.15  # of the stamps that are smaller than the one before: times 
 def candump_batches(file: Path) -> Generator[Batch, None, None]:
     """Raises LinkOpenError, at the first batch only, for a file of another kind."""
     with open_text(file) as handle:
-        lines = bounded(handle)
+        lines = map(_in_seconds, bounded(handle))
         first = list(islice(lines, _LOOK_LINES))
         _refuse_other_kinds(file, first)
         stamps = [t for line in first if (t := _stamp(line)) is not None]
@@ -71,6 +73,16 @@ def _read(lines: Iterator[str], out: Collector, differences: bool) -> Generator[
             left = BATCH_FRAMES
             yield out.take()
     yield out.take()
+
+
+def _in_seconds(line: str) -> str:
+    """The line with Unix time in place of a date."""
+    if "-" not in line[:8] or (match := _DATE_STAMP.match(line.lstrip())) is None:
+        return line
+    try:
+        return f"({int(datetime.fromisoformat(match[1]).timestamp())}{match[2]}{line.lstrip()[match.end() :]}"
+    except (ValueError, OverflowError, OSError):  # no date, or one that this system has not
+        return line
 
 
 def _screen_frame(text: str) -> tuple[FrameTuple, str, bool] | None:

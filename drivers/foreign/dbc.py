@@ -19,11 +19,18 @@ _BIT_TIMING = re.compile(r"^[ \t]*BS_[ \t]*:[^\r\n]*", re.MULTILINE)
 _QUOTED_QUOTE = re.compile(r'\\"')
 _HEX_NAME = re.compile(r"0x([0-9a-fA-F]{1,8})")
 _EXTENDED_BIT = 0x8000_0000
+_MIN_MEASURED_BITS = 8  # a shorter signal is a list of states, whose last code is one of them
 _NO_VALUE = re.compile(
-    r"sna|n/?a|not\W*_*avail\w*|signal_not_available|invalid\w*|not_?\s?valid|err(or)?\w*|fault\w*|fail\w*|undef\w*"
-    r"|no_?\s?(value|data|signal)|unknown|init\w*|missing|reserved|(over|under)(flow|range)\w*|out_?\s?of_?\s?range",
+    r"sna|n/?a|nan|not? ?avail\w*|invalid\w*|not ?valid|err(or)?\w*|fault\w*|fail\w*|undef\w*|un(available|known)"
+    r"|no ?(value|data|signal)|init\w*|missing|reserv\w*|(over|under) ?(flow|range)\w*|out ?of ?range"
+    r"|ung(ü|ue)ltig\w*|fehler\w*|unbekannt\w*|kein ?(wert|signal)|erreur\w*|inconnue?|indisponible",
     re.IGNORECASE,
 )  # fmt: skip
+_NO_VALUE_IN_TEXT = re.compile(
+    r"\b(sna|not|no|non|invalid\w*|error\w*|fault\w*|fail\w*|un(available|known|defined)|missing|broken|defect\w*"
+    r"|nicht|kein\w*|ung(ü|ue)ltig\w*|fehler\w*|defekt\w*|erreur\w*)\b",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +111,26 @@ def _near(name: str, known: list[str]) -> str:
 
 
 def no_value_codes(signal: Any) -> dict[int, str]:
-    """Raw values, as unsigned numbers, to which the value table gives a name that stands for no value."""
-    size = 1 << signal.length
-    named = {} if signal.is_float else (signal.choices or {})
-    return {int(raw) % size: str(text) for raw, text in named.items() if _NO_VALUE.fullmatch(str(text).strip())}
+    """Raw values, as unsigned numbers, to which the value table gives a name that stands for no value.
+
+    At the extreme codes of the bits any name but a number stands for none: what saturates there is no value either.
+    """
+    if signal.is_float:
+        return {}
+    size, half = 1 << signal.length, 1 << (signal.length - 1)
+    extremes = {half - 1, half - 2, half, half + 1} if signal.is_signed else {size - 1, size - 2}
+    if signal.length < _MIN_MEASURED_BITS:
+        extremes = set()
+    codes = {}
+    for number, text in (signal.choices or {}).items():
+        raw, name = int(number) % size, _words(str(text))
+        in_text = raw != 0 and _NO_VALUE_IN_TEXT.search(name)  # 0 may be "no load"
+        at_extreme = raw in extremes and not any(letter.isdigit() for letter in name)
+        if _NO_VALUE.fullmatch(name) or in_text or at_extreme:
+            codes[raw] = str(text)
+    return codes
+
+
+def _words(name: str) -> str:
+    """ "SignalNot_available" as "Signal Not available"."""
+    return re.sub(r"[\s_]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", name)).strip()

@@ -133,6 +133,8 @@ def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
         (german(table("%.6f")), XY_RIG, ":2: 6 cells where the header has 3: these may be decimal commas"),
         ("time;x;y\n" + 60 * "1,000;2,000;3,000\n", XY_RIG, '"1,000" may be 1.000 or 1000; write its numbers with'),
         (table("%.6f").replace("\n0.100000,", "\nnow,"), XY_RIG, ":12: time: \"now\" is not a number"),
+        (rows(lambda k: f"{k // 4}.0"), AT_100_HZ, "time stands still at row 1 .0 s., as its numbers are rounded"),
+        (table("%.6f", ",", "Frequency [Hz],x,y"), XY_RIG, "a table over frequency: a spectrum"),
         (table("%.6f").replace("time", "x"), XY_RIG, 'the header names "x" twice'),
     ],
 )  # fmt: skip

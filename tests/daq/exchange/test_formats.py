@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from datetime import UTC, datetime
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
+import scipy.sparse
 from asammdf import MDF, Signal
 from scipy.io import wavfile
 
@@ -84,6 +88,26 @@ def test_a_rate_by_its_usual_names(tmp_path: Path, name: str) -> None:
     assert_read(read(mat(tmp_path, **X_ONLY, **{name: RATE_HZ})))
     np.savez(tmp_path / "a.npz", **X_ONLY, **{name: RATE_HZ})
     assert_read(read(tmp_path / "a.npz"))
+
+
+@pytest.mark.parametrize(("name", "value"), [("fs", 1.0), ("Ts", 1.0), ("rate_hz", 1e6)])
+def test_a_rate_in_another_unit_is_refused(tmp_path: Path, name: str, value: float) -> None:
+    np.savez(tmp_path / "a.npz", **X_ONLY, **{name: value})
+    with pytest.raises(LogError, match="where the rig file expects 1000 Hz: is it in [km]Hz"):
+        read(tmp_path / "a.npz")
+
+
+def test_what_holds_no_numbers_is_called_so(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", x=np.array([{}] * 400), y=Y[:, 1], rate_hz=RATE_HZ)
+    with pytest.raises(LogError, match="Python objects, not numbers"):
+        read(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", x=Y[:, 0].astype(str), y=Y[:, 1], rate_hz=RATE_HZ)
+    with pytest.raises(LogError, match="x holds text or objects"):
+        read(tmp_path / "b.npz")
+    np.savez(tmp_path / "c.npz", **X_ONLY, t=np.arange(400).astype("timedelta64[ms]"))
+    assert_read(read(tmp_path / "c.npz"))
+    scipy.io.savemat(tmp_path / "a.mat", {"x": scipy.sparse.csc_matrix(Y[:, :1]), "y": Y[:, 1], "fs": RATE_HZ})
+    assert_read(read(tmp_path / "a.mat"))
 
 
 def test_a_struct_by_the_names_of_its_fields(tmp_path: Path) -> None:
@@ -265,6 +289,30 @@ def test_parquet(tmp_path: Path) -> None:
     record = read(tmp_path / "a.parquet")
     assert_read(record)
     assert record.started_ns == unix_ns(STARTED_UTC)
+    exact = [Decimal(f"{value:.6f}") for value in Y[:, 1]]
+    lasting = pyarrow.array(np.arange(400), pyarrow.duration("ms"))
+    parquet.write_table(pyarrow.table({"time": lasting, "x": Y[:, 0], "y": exact}), tmp_path / "a.parquet")
+    assert_read(read(tmp_path / "a.parquet"), np.round(Y, 6), 1e-6)
+
+
+@pytest.mark.parametrize("ending", ["h5", "tdms", "parquet"])
+def test_a_command_has_the_memory_to_read_it(tmp_path: Path, ending: str) -> None:
+    """The libraries claim addresses for pools and threads, of which a command that reads a small file grants few."""
+    path = tmp_path / f"a.{ending}"
+    if ending == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            file["x"], file["y"] = Y.T
+    elif ending == "tdms":
+        tdms = pytest.importorskip("nptdms")
+        with tdms.TdmsWriter(path) as file:
+            file.write_segment([tdms.ChannelObject("run", n, Y[:, k]) for k, n in enumerate("xy")])
+    else:
+        parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+        parquet.write_table(table({"x": Y[:, 0], "y": Y[:, 1]}), path)
+    (tmp_path / "rig.toml").write_text(TEXT.replace("\nX", "").replace("FULL", ""))
+    command = f"-m daq import a.{ending} --rig rig.toml --rate 1000 --out a.mcap"
+    done = subprocess.run([sys.executable, *command.split()], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "0.4 s of 2 channels at 1000 Hz" in done.stdout, done.stderr
 
 
 @pytest.mark.parametrize("ending", ["h5", "tdms", "parquet"])

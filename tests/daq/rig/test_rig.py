@@ -295,7 +295,9 @@ def test_a_missing_or_binary_file_is_said(tmp_path: Path) -> None:
         load_rig(tmp_path / "b.toml")
 
 
-@pytest.mark.parametrize("spelling", ["m/s^2", "m/s²", "m/s2", "m/s**2", "m / s^2", "m/s/s"])
+@pytest.mark.parametrize(
+    "spelling", ["m/s^2", "m/s²", "m/s2", "m/s**2", "m / s^2", "m/s/s", "m·s⁻²", "m s-2", "ms^-2", "m*s^(-2)"]
+)
 def test_spellings_of_a_unit(spelling: str) -> None:
     assert canonical(spelling) == "m/s^2"
 

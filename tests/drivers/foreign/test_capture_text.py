@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,6 +59,7 @@ FORMS = {
     "a raw length code": [line + "_9" for line in PLAIN], "with direction": [line + " R" for line in PLAIN],
     "on the screen": [" " + line for line in SCREEN],
     "on the screen with -x": [line.replace("can0  ", "can0  RX - -  ") for line in SCREEN],
+    "on the screen with -tA": [re.sub(r"\(17000000(\d\d)", r"(2023-11-14 22:13:\1", line) for line in SCREEN],
     "neighbours swapped": [PLAIN[k ^ 1] for k in K],
     "differences": ["(000.000000) can0 100#0000", *(f"(000.010000) can0 100#{k:02X}00" for k in K[1:])],
     "differences that vary": [f"(000.{0 if k == 0 else 10_000 + 30 * (-1) ** k:06d}) can0 100#{k:02X}00" for k in K],
@@ -106,7 +108,6 @@ def test_times_that_rise_are_no_differences(steps_us: list[int]) -> None:
     [
         (["***BUSMASTER Ver 3.2.2***", "13:33:00:0000 Rx 1 0x100 s 4 18 FC"], "BusMaster"),
         (["  can0  100   [2]  18 FC"] * 9, "candump -L"),
-        ([" (2023-11-14 10:13:20.000000)  can0  100   [2]  18 FC"] * 9, "candump -L"),
         ([";$FILEVERSION=1.1"], "PCAN"), ([*ASC, asc(0, 0)], "name it .asc"),
         (["junk"] * 9, "9 records cannot be read"),
         ([], "holds no frame"),

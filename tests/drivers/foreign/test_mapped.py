@@ -283,6 +283,19 @@ def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
     assert any("SNA" in notice.text for notice in record.notices)
 
 
+@pytest.mark.parametrize(
+    ("code", "name", "is_value"),
+    [(32767, "Sensor fault", False), (32767, "Overload", False), (-32767, "nicht verfügbar", False),
+     (20, "SignalNotPresent", False), (20, "Invalid_data", False), (32766, "ungültig", False), (0, "NaN", False),
+     (32767, "+16 g", True), (0, "no load", True), (20, "Maximum", True)],
+)  # fmt: skip
+def test_a_name_tells_whether_its_code_is_a_value(code: int, name: str, is_value: bool) -> None:
+    dbc = NESTED.replace(b'32767 "SNA" -32768 "Error" 0 "Zero"', f'{code} "{name}"'.encode())
+    frames = [(769, struct.pack("<h", code if k == 30 else 100 + k), 10 * MS * k) for k in range(60)]
+    record = run(frames, {"s": "B.S"}, dbc=dbc)
+    assert [(gap.index, gap.count) for gap in record.gaps] == ([] if is_value else [(30, 1)])
+
+
 @pytest.mark.promise("wrong limits in a DBC", "[0,1] for a real signal", "kept, said")
 def test_values_beyond_untrue_limits_stay_and_its_extreme_codes_do_not() -> None:
     raw = [32767 if k == 20 else 10 * k for k in range(60)]
