@@ -16,6 +16,7 @@ from .columns import Column, Columns, date_ns, time_unit
 MOST_LATE_SAMPLES = 0.25  # between the first samples of records
 TIME_TYPE = 17  # of an abscissa
 SAME_STEP_REL = 1e-6  # between the steps of records: they are written in single precision
+ROUNDED_STEP_REL = 5e-6  # of a step of six figures, as dataset 58 writes it
 VALUES_OF_LINE = 6  # at most, in a dataset 58 as text: a last line may be filled up
 # Dataset 164 says by what to divide to get metres and newtons
 UNIT_OF_LENGTH = {1.0: "m", 1e3: "mm", 1e2: "cm", 1e6: "um", 1 / 0.0254: "in", 1 / 0.3048: "ft"}
@@ -78,7 +79,9 @@ def _sampled(
         if not math.isclose(step, steps[0], rel_tol=SAME_STEP_REL):
             text = f"{names[0]} is sampled at {1 / steps[0]:.6g} Hz, {name} at {1 / step:.6g} Hz"
             raise LogError(f"{path}: {text}; export channels of one rate")
-    return 1.0 / steps[0], None
+    rate_hz = 1.0 / steps[0]
+    whole = math.isclose(rate_hz, round(rate_hz), rel_tol=ROUNDED_STEP_REL)
+    return (float(round(rate_hz)) if whole else rate_hz), None
 
 
 def _abscissa_unit(path: Path, record: Mapping[str, Any]) -> float:

@@ -41,8 +41,10 @@ LOG_TOPICS = (
     Topic("/log", "foxglove.Log"),
     Topic("/estimate", "rotorscope.Estimate"),
     Topic("/status", "rotorscope.Status"),
-    Topic("/preview", "std_msgs/msg/Float64MultiArray", "cdr"),
+    Topic("/preview", "std_msgs/msg/Float64MultiArray", "cdr"),  # of logs before there was a topic for each channel
 )
+# Topics of one number each, for viewers: their ids follow, in the order in which they come
+PREVIEW_TOPIC, ESTIMATES_TOPIC = "/preview/", "/estimates/"
 
 
 def text(said: str) -> str:

@@ -61,7 +61,7 @@ def walk(
                 findings.damage.append(f"a message of channel {message.channel} makes no sense: {error}")
                 continue
             if entry is None:
-                if everything and 1 <= message.channel <= len(codec.LOG_TOPICS):
+                if everything and (1 <= message.channel <= len(codec.LOG_TOPICS) or message.channel in findings.topics):
                     yield None, message
                 continue
             missing = decoder.missing_before(entry)

@@ -50,7 +50,12 @@ def import_(
 @of_a_part
 def export(
     log: Log,
-    to: Annotated[Path, typer.Option("--to", metavar="FILE", help=".npz .csv .mat .mf4 .wav, by ending.")],
+    to: Annotated[
+        Path,
+        typer.Option(
+            "--to", metavar="FILE", help=".npz .csv .mat .mf4 .wav .uff .h5 .parquet, .mcap .rrd (SI), by ending."
+        ),
+    ],
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,

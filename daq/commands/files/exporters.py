@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.console.output import Output
+from daq.base.console.output import Output, spare
 from daq.base.console.tables import gap_lines
 from daq.base.console.unfinished import half, led_to
 from daq.base.contract.dates import utc_text
@@ -23,6 +23,9 @@ from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.log.reader import Recording, read_log
 from daq.rig.rig import Rig
 
+from .archives import write_hdf5, write_parquet, write_uff
+from .recordings import write_mcap, write_rrd
+
 CSV_ROWS = 50_000
 LONGEST_MAT_NAME = 63  # characters, of a variable of MATLAB
 RESERVED_NAMES = {
@@ -30,7 +33,9 @@ RESERVED_NAMES = {
     ".csv": ("time",),
     ".mat": ("rate_hz", "started", "channels", "units"),
     ".mf4": ("time",),
+    ".parquet": ("time",),
 }
+SI_SUFFIXES = (".mcap", ".rrd")  # that hold SI units whatever the rig file says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +65,11 @@ def export(output: Output, log: Path, to: Path, part: Part = WHOLE_RECORD) -> No
         raise ConfigError(
             f'{to}: cannot export to a file that ends in "{to.suffix}"; known are {", ".join(WRITER_OF_SUFFIX)}'
         )
+    if suffix == ".mcap":
+        spare(to)  # it may be a log
     recording, notes = read_log(log, part=part), list[str]()
     with output.progress(f"exporting to {to.name}"):
-        table = named(in_units(recording, notes.append), suffix)
+        table = named(in_si(recording) if suffix in SI_SUFFIXES else in_units(recording, notes.append), suffix)
         if not len(table.values):
             raise LogError(f"{log}: holds no samples; there is nothing to export")
         try:
@@ -110,6 +117,18 @@ def _say(output: Output, recording: Recording, table: Table, to: Path) -> None:
         output.note(f"{log}: is being written; {to} ends with sample {recording.stop - 1}")
     elif not recording.complete:
         output.note(f"{log}: is not complete; `rotorscope recover` says what was lost")
+
+
+def in_si(recording: Recording) -> Table:
+    """The samples of a log in SI units."""
+    return Table(
+        names=recording.channels,
+        units=tuple(s.unit for s in recording.info.signals),
+        values=recording.samples(),
+        rate_hz=recording.rate_hz,
+        channels=recording.channels,
+        started_ns=recording.started_ns,
+    )
 
 
 def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
@@ -231,5 +250,6 @@ def _mf4(table: Table, path: Path) -> None:
 
 
 WRITER_OF_SUFFIX: dict[str, Callable[[Table, Path], None]] = {
-    ".npz": _npz, ".csv": _csv, ".mat": _mat, ".wav": _wav, ".mf4": _mf4,
+    ".npz": _npz, ".csv": _csv, ".mat": _mat, ".wav": _wav, ".mf4": _mf4, ".mcap": write_mcap, ".rrd": write_rrd,
+    ".uff": write_uff, ".h5": write_hdf5, ".parquet": write_parquet,
 }  # fmt: skip

@@ -124,7 +124,9 @@ def test_other_tools_read_it(tmp_path: Path) -> None:
                 topics.setdefault(channel.topic, []).append(DecoderFactory().decoder_for("protobuf", schema)(raw.data))  # type: ignore[misc]
             else:
                 topics.setdefault(channel.topic, []).append(np.frombuffer(raw.data, "<f8", offset=20 - 20 % 8 + 4))
-    assert set(topics) == {t.name for t in codec.LOG_TOPICS}
+    numbers = {f"/preview/{s.name}" for s in make_info().signals}
+    assert {t.name for t in codec.LOG_TOPICS} - {"/preview"} | numbers <= set(topics)
+    assert any(name.startswith("/estimates/") for name in topics)
     assert sum(m.rows for m in topics["/raw"]) == sum(len(r.counts) for r in stream if isinstance(r, Block))  # type: ignore[attr-defined]
     assert topics["/log"][0].message == "a frame was damaged"  # type: ignore[attr-defined]
 
@@ -139,7 +141,8 @@ def test_rerun_plots_preview_and_notices_with_no_help(tmp_path: Path) -> None:
     target = str(tmp_path / "a.rrd")
     subprocess.run([rerun, "mcap", "convert", str(tmp_path / "a.mcap"), "-o", target], check=True, capture_output=True)
     out = subprocess.run([rerun, "rrd", "print", target], check=True, capture_output=True, text=True).stdout
-    assert "- /preview - data columns: [Scalars:scalars]" in out
+    for signal in make_info().signals:
+        assert f"- /preview/{signal.name} - data columns: [Scalars:scalars]" in out
     assert "- /log - data columns: [TextLog:level TextLog:text]" in out
 
 
@@ -149,12 +152,15 @@ def test_the_preview_is_the_envelope(tmp_path: Path) -> None:
     _, counts = truth(stream)
     present = counts[counts[:, 0] > np.iinfo(np.int32).min] * scale
     with (tmp_path / "a.mcap").open("rb") as file:
-        preview = [m for _, c, m in make_reader(file).iter_messages() if c.topic == "/preview"]
-    values = np.array([np.frombuffer(m.data[20:], "<f8") for m in preview])
-    np.testing.assert_allclose(values.max(axis=0), present.max(axis=0))
-    np.testing.assert_allclose(values.min(axis=0), present.min(axis=0))
-    spacing = np.diff([m.log_time for m in preview])
-    assert np.median(spacing) == pytest.approx(1e7, rel=1e-3)  # 100 Hz
+        messages = [(c, m) for _, c, m in make_reader(file).iter_messages() if c.topic.startswith("/preview/")]
+    for k, signal in enumerate(make_info().signals):
+        preview = [m for c, m in messages if c.topic == f"/preview/{signal.name}"]
+        assert {c.metadata["unit"] for c, _ in messages if c.topic == f"/preview/{signal.name}"} == {signal.unit}
+        values = np.array([np.frombuffer(m.data[20:], "<f8")[0] for m in preview])
+        np.testing.assert_allclose(values.max(), present[:, k].max())
+        np.testing.assert_allclose(values.min(), present[:, k].min())
+        spacing = np.diff([m.log_time for m in preview])
+        assert np.median(spacing) == pytest.approx(1e7, rel=1e-3)  # 100 Hz
 
 
 def test_a_full_scale_change_is_kept(tmp_path: Path) -> None:

@@ -101,8 +101,11 @@ def test_single_precision_survives_to_the_last_bit(values: np.ndarray) -> None:
     np.testing.assert_array_equal((counts * scale).astype(np.float32), values)
 
 
-@pytest.mark.parametrize("ending", ["npz", "csv", "mat", "wav", "mf4"])
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff's writer leaves its file open
+@pytest.mark.parametrize("ending", ["npz", "csv", "mat", "wav", "mf4", "uff", "h5", "parquet"])
 def test_out_and_in_again(folder: Path, ending: str) -> None:
+    if ending in ("h5", "parquet"):
+        pytest.importorskip({"h5": "h5py", "parquet": "pyarrow"}[ending])
     y = samples()
     load(folder, write_npz(folder / "a.npz", y))
     (folder / "log.mcap").rename(folder / "first.mcap")
