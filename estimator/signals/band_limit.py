@@ -223,6 +223,7 @@ class BandLimit:
     extra : response(f_hz) from displacement to one more output, `Motion.u` (the shaft's reaction, for instance).
     slow : whether `Motion.slow` is asked for.
     undone : response(f_hz) of the recorder, measured over true, that is undone in every output. None: 1.
+    dtype : of the outputs of `push` and `flush`.
     """
 
     def __init__(
@@ -233,8 +234,9 @@ class BandLimit:
         extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
         undone: Callable[[Array], Complexes] | None = None,
+        dtype: type[np.floating[Any]] = np.float64,
     ) -> None:
-        self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
+        self.kinds, self.rate_hz, self.band, self._dtype = tuple(kinds), rate_hz, band, dtype
         self.half = half_length(rate_hz, band) * (1 if extra is None else RESONANT_FILTER_LENGTHS)
         self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
@@ -271,7 +273,7 @@ class BandLimit:
         parts = []
         used = 0
         while self._held.shape[1] - used >= self._size:
-            parts.append(self._block(self._held[:, used : used + self._size]))
+            parts.append(self._block(self._held[:, used : used + self._size], self._dtype))
             used += self._hop
         self._held = self._held[:, used:].copy()
         self._count = self._held.shape[1]
@@ -291,7 +293,7 @@ class BandLimit:
         missing = np.full((len(self.kinds), self._size), np.nan)
         held = np.concatenate([self._held, missing], axis=1)
         for used in range(0, count, self._hop):
-            parts.append(self._block(held[:, used : used + self._size]))
+            parts.append(self._block(held[:, used : used + self._size], self._dtype))
         self._held = self._held[:, :0]
         motion = self._join(parts)
         a, v, x, u = (z[:, :count] for z in (motion.a, motion.v, motion.x, motion.u))
@@ -321,7 +323,7 @@ class BandLimit:
     def _join(self, parts: list[tuple[Array, NDArray[np.bool_]]]) -> BandLimitedMotion:
         start = self._next
         if not parts:
-            parts = [(np.empty((len(self.outputs), len(self.kinds), 0)), np.empty(0, bool))]
+            parts = [(np.empty((len(self.outputs), len(self.kinds), 0), self._dtype), np.empty(0, bool))]
         out = parts[0][0] if len(parts) == 1 else np.concatenate([p[0] for p in parts], axis=2)
         valid = parts[0][1] if len(parts) == 1 else np.concatenate([p[1] for p in parts])
         self._next += valid.size

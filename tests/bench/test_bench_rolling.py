@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from reference_rig import RATE, rig_model, rig_record
+from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.identification.batch import spectral
 from estimator.identification.rolling.estimator import RollingEstimator
@@ -19,6 +19,7 @@ from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, UNWATCHAB
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 
 
+TRUE_CUBIC = 1.3e18  # N/m^3, of the reference rig
 COLUMNS = (
     *watchable_effects(),
     *UNWATCHABLE_EFFECTS,
@@ -50,6 +51,31 @@ def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
     cost = f"{100 * share:.1f} % of a core at 25.6 kS/s, 4 channels; longest update {1e3 * worst:.0f} ms"
     print(f"\n{len(watch)} candidates: {cost}; load {os.getloadavg()[0]:.1f}")
     assert share < limit * (3 if limit < 0.1 else 1)
+
+
+def test_intervals_cover() -> None:
+    """Share of 95 % intervals that hold the truth, at two instants more than two time constants apart."""
+    inside: dict[str, list[bool]] = {"kL": [], "c": [], "cubic.kNL": [], "S": []}
+    sds: dict[str, list[float]] = {key: [] for key in inside}
+    for seed in range(int(os.environ.get("ROTORSCOPE_SEEDS", "20"))):
+        y = rig_record(22.0, seed=1000 + seed)
+        rolling = RollingEstimator(rig_model("cubic"), RATE, 5.0, watch=())
+        for instant, rows in enumerate(np.split(y, [int(10 * RATE)])):
+            for block in np.split(rows, np.arange(1280, len(rows), 1280)):
+                rolling.update(block)
+            found = rolling.snapshot().parameters
+            assert found, instant
+            for i, place in enumerate(PLACES):
+                for key in inside:
+                    p = found[f"{place}.{key}"]
+                    truth = TRUE_CUBIC if key == "cubic.kNL" else TRUTH[key][i]
+                    if p.value is not None and p.sd:
+                        inside[key].append(abs(p.value - truth) < 1.96 * p.sd)
+                        sds[key].append((p.value - truth) / p.sd)
+    print()
+    for key, hits in inside.items():
+        z = np.array(sds[key])
+        print(f"{key}: {100 * np.mean(hits):.1f} % of {len(hits)}; mean {z.mean():+.2f}, scatter {z.std():.2f} sd")
 
 
 @pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])

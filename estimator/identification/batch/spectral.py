@@ -50,7 +50,7 @@ def fit_spectral(model: Model, y: Array, rate_hz: float) -> Fit:
         The record cannot answer: too short, a dead channel, no resonance in the band.
     """
     found = fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
-    if _residual_is_noise(found):
+    if residual_is_noise(found.model, found.point):
         data = replace(found.point.data, residual_is_noise=True)
         found = replace(found, point=fit_model(data, list(found.point.placed), found.point))
     messages = (*found.messages, *_fit_messages(found))
@@ -68,14 +68,14 @@ def _given_masses(model: Model) -> dict[str, Parameter]:
     return {f"{p}.m": Parameter(m, 0.0, LINEAR_UNITS["m"], reason="given") for p, m in given.items() if m is not None}
 
 
-def _residual_is_noise(found: FullFit) -> bool:
+def residual_is_noise(model: Model, point: WorkingPoint) -> bool:
     """Whether a force is measured at every place, and what remains of it is noise of the sensors and not negligible."""
-    data = found.point.data
+    data = point.data
     if not np.all(data.measured_force_psd > 0.0) or np.all(
-        MAX_UNMEASURED_POWER_REL * data.measured_force_psd > found.point.S
+        MAX_UNMEASURED_POWER_REL * data.measured_force_psd > point.S
     ):
         return False
-    return not transfer_faults.has_unmeasured_force(found.model, found.point)
+    return not transfer_faults.has_unmeasured_force(model, point)
 
 
 def _fit_messages(found: FullFit) -> tuple[Message, ...]:

@@ -1,13 +1,12 @@
-"""The spectral estimator while samples arrive, with the filters, regressors, Gram matrices and likelihood of a fit.
+"""The spectral estimator while samples arrive: the first seconds are fitted as a record, then pieces are added.
 
-The first seconds are fitted as a record; until that succeeds no parameter is shown. Their Gram matrices start the slow
-memory, which then forgets exponentially. A fast memory detects changes: if a parameter differs between the two memories
-by five standard deviations of the difference, twice in a row, the fast memory replaces the slow one. The estimate then
-follows the change at once, and its interval is wider for a while.
+The engine is that of a fit: the same band limit, regressors, whitening, Gram matrices and determinant. The Gram
+matrices of the pieces enter two memories that forget exponentially. The estimate is the maximum on the slow memory. If
+a parameter differs between the two memories by five standard deviations of the difference, twice in a row, the fast
+memory replaces the slow one: the estimate then follows the change at once, with a wider interval for a while.
 
-Lines of the first seconds are left out for good, lines that come or move block by block; a tacho channel gives the
-shaft angle. The candidate effects have a memory of their own, of every third block, and are scored every three seconds.
-The order of all computations depends on the data alone.
+All work is done piece by piece, at fixed absolute rows. The estimate depends on the samples alone, not on how they are
+cut into blocks.
 """
 
 from __future__ import annotations
@@ -20,25 +19,34 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.record import spike_rows
+from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
+from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
-from estimator.likelihood.motion.harmonics import known_lines
-from estimator.likelihood.motion.stream_record import Record, as_record, notches
+from estimator.likelihood.motion.located_law import located_laws
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.rig import Model
 from estimator.results import SPIKES_KEY, Estimate
-from estimator.signals.band_limit import BandLimit, BandLimitedMotion
-from estimator.signals.blocks import BlockLayout, block_layout
+from estimator.signals.band_limit import BandLimit, BandLimitedMotion, half_length
 from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
 
+from .anchor import anchor_at
+from .follower import Follower
+from .piece import in_time_folds, joined_motion, piece_record
 from .report import judged_parameters
 from .scope import rolling_scope
-from .start import first_fit, start_without_lines
-from .update import WARM_UP_S, RollingFit
-from .watch import DEFAULT_CANDIDATES
+from .start import FirstFit, first_fit
+from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 
-SHOW_EVERY_S = 0.45  # of samples, between two estimates
-MIN_BLOCKS = 6  # in the slow memory, for an estimate
-CATCH_UP_FACTOR = 2  # on the blocks per call, until the first blocks have been taken
+WARM_UP_S = 4.0  # of samples, at least, before the first fit
+PIECE_S = 0.5  # of samples, at most, between two estimates
+BLOCK_CYCLES = 16.0  # of the lower band edge in a block
+MIN_BLOCK_ROWS = 128
+START_BLOCKS = 24  # at least, in the first fit
+MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
+MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
+PIECES_PER_WATCH = 4  # of the memory with the candidates
+PIECES_PER_LOOK = 6  # for missing force
 MAX_STILL_RMS_REL = 1e-6  # of the usual acceleration of a place, or of the other places: it does not move
 
 
@@ -46,7 +54,7 @@ class RollingEstimator:
     """Stiffness, damping and excitation of a rig while samples arrive, by the spectral likelihood.
 
     Old samples are forgotten exponentially. The estimate is renewed about twice a second. It depends on the samples
-    and on how they are cut into blocks, and on nothing else: equal blocks give equal bits, live and in a replay.
+    and on nothing else: live and in a replay, and for any size of the blocks, it is the same to the last bit.
 
     Parameters
     ----------
@@ -59,8 +67,8 @@ class RollingEstimator:
     watch : tuple of str
         Catalogue effects whose force is looked for in the residual force. The `extra` of an estimate then holds
         ``missing_force_percent``, the rms force that all of them together would explain in per cent of the rms linear
-        bearing force, and ``missing_force_percent_NAME`` for each effect that is certain. An empty tuple halves the
-        cost. After a spike `extra` also holds ``spikes_left_out``, the number of samples that were left out.
+        bearing force, and ``missing_force_percent_NAME`` for each effect that is certain. After a spike `extra` also
+        holds ``spikes_left_out``, the number of samples that were left out.
 
     Raises
     ------
@@ -97,30 +105,34 @@ class RollingEstimator:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
         self._scope = rolling_scope(model)
         self.model, self.rate_hz, self.time_constant_s = self._scope.model, rate_hz, time_constant_s
+        self._whole = model
         self.watch = () if self._scope.lacking else watch  # no missing force of an incomplete model
-        motions, forces = motion_channels(model), force_channels(model)
-        self._used = [*motions, *forces.values()]
+        self._used = [*motion_channels(model), *force_channels(model).values()]
         kinds = [model.channels[c].kind for c in self._used]
-        undone = anti_alias_response(model, rate_hz)
-        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=undone)
-        self._grid: BlockLayout = block_layout(rate_hz, model.band, notches(model))
-        self._lines = _known_line_stretches(model, self._grid)
-        self._kept: list[BandLimitedMotion] = []  # what the next blocks and a new start need
-        self._rows: list[Array] = []  # samples of the last seconds, for a new start
+        self._filter = BandLimit(
+            kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=anti_alias_response(model, rate_hz),
+            dtype=np.float32,
+        )  # fmt: skip
+        self._gain = _sensor_gains(self.model)[self._used]
+        self._block = max(MIN_BLOCK_ROWS, 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0]))))
+        self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
+        self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
         self._shaft = ShaftAngle(model, rate_hz)
+        self._fresh: list[Array] = []  # rows of the block that is not whole yet
+        self._rows: list[Array] = []  # blocks of the last seconds, for a start
+        self._kept: list[BandLimitedMotion] = []  # motion of the last seconds
         self._seen = 0  # rows taken in
-        self._next = 0  # first row of the next block
-        self._since_solved = 0
-        self._since_taken = False
-        self._ahead: Record | None = None  # what the next blocks are cut from
-        self._fitted: RollingFit | None = None
+        self._next = 0  # first row of the next piece of motion
+        self._pieces = 0  # of motion, since the start
+        self._follower: Follower | None = None
+        self._calm: DenoisingFilter | None = None
+        self._margin = 0  # rows that a piece of motion needs on either side of its own
+        self._first: FirstFit
+        self._fault = ""  # why a piece since the last estimate was of no use
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
-        self._unshown = ""  # why a block since the last estimate was of no use: a law that is not finite
         self._spikes = 0  # samples left out
-        self._fault = ""  # why the last block is of no use: a place that does not move, a law that is not finite
-        gains = _sensor_gains(self.model)[self._used]
-        self._gain = None if (gains == 1.0).all() else gains
+        self._missing: dict[str, float] | None = None
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
         reasons = [self._scope.lacking.get(place, "") for place in model.places]
         self._nothing = all(reasons) and bool(reasons)  # no place has an identifiable parameter
@@ -129,43 +141,16 @@ class RollingEstimator:
 
     def update(self, block: Array) -> None:
         """Take the next rows, (n, channels), SI; NaN where a sample is missing or clipped."""
-        self._seen += len(block)
-        if self._nothing:
-            return
-        self._since_solved += len(block)
-        self._shaft.push(block)
-        y = self._without_spikes(block[:, self._used])
-        self._keep_rows(block, y)
-        motion = self._filter.push(y if self._gain is None else y / self._gain)
-        if motion.rows:
-            self._kept.append(motion)
-            self._ahead = None
-        if self._fitted is not None:
-            self._advance(self._fitted, 1 + len(block) // self._grid.hop)
-        elif motion.rows:
-            self._start()
-
-    def _keep_rows(self, block: Array, y: Array) -> None:
-        """Keep the samples of a block, (rows, channels), with those of the used channels without spikes."""
-        own = np.array(block, dtype=np.float64)
-        own[:, self._used] = y
-        self._rows.append(own)
-        while sum(map(len, self._rows[1:])) >= self._start_rows:
-            self._rows.pop(0)
-
-    @property
-    def _start_rows(self) -> int:
-        """Rows that a start needs."""
-        return max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
-
-    def _without_spikes(self, y: Array) -> Array:
-        """A block (rows, channels) with NaN in place of its spikes: one would hide the motion for a time constant."""
-        for k, channel in enumerate(y.T):
-            if (rows := spike_rows(channel)).size:
-                y = y.copy()
-                y[rows, k] = np.nan
-                self._spikes += rows.size
-        return y
+        taken = 0
+        while taken < len(block):
+            rows = min(len(block) - taken, self._block - self._seen % self._block)
+            self._seen += rows
+            if not self._nothing:
+                self._fresh.append(np.array(block[taken : taken + rows], dtype=np.float64))
+                if self._seen % self._block == 0:
+                    self._take(np.concatenate(self._fresh))
+                    self._fresh = []
+            taken += rows
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last update."""
@@ -174,152 +159,161 @@ class RollingEstimator:
             extra = {**(extra or {}), SPIKES_KEY: float(self._spikes)}
         return replace(self._estimate, index=self._seen, extra=extra)
 
+    def _take(self, y: Array) -> None:
+        """Take the next whole block (rows, channels), which may be changed."""
+        self._shaft.push(y)
+        self._leave_out_spikes(y)
+        self._rows.append(y)
+        motion = self._filter.push(y[:, self._used] / self._gain)
+        if not motion.rows:
+            return
+        self._kept.append(motion)
+        if self._follower is None:
+            self._start()
+        else:
+            self._advance(self._follower)
+        self._trim()
+
+    def _leave_out_spikes(self, y: Array) -> None:
+        """NaN in place of the spikes of a block: one would hide the motion for a time constant."""
+        for k in self._used:
+            if (rows := spike_rows(y[:, k])).size:
+                y[rows, k] = np.nan
+                self._spikes += rows.size
+
+    def _trim(self) -> None:
+        """Drop what no later piece and no new start needs."""
+        keep = self._wanted // self._block
+        del self._rows[:-keep]
+        needed = self._end - self._wanted
+        if self._follower is not None:
+            needed = min(needed, self._next - self._margin)
+        while self._kept and self._kept[0].start + self._kept[0].rows <= needed:
+            self._kept.pop(0)
+        self._shaft.drop(self._kept[0].start)
+
+    @property
+    def _end(self) -> int:
+        """Row behind the motion that is known."""
+        return self._kept[-1].start + self._kept[-1].rows
+
     def _show_nothing(self, status: str) -> None:
         """The estimate has no parameters, for this reason."""
         self._estimate = Estimate(self._seen, {}, 0.0, status=status)
 
-    def _record(self, first: int = 0) -> Record:
-        """The kept motion as a record, from the piece that holds row `first` on."""
-        parts = [p for p in self._kept if p.start + p.rows > first]
-        record = as_record(self.model, self.rate_hz, parts, self._grid)
-        if self._fitted is not None:
-            record = replace(record, calm=self._fitted.calm)
-        if not self._shaft.measured:
-            return record
-        angle = self._shaft.angle(record.motion.start, record.motion.start + record.motion.rows)
-        return record if angle is None else replace(record, phase=angle)
-
     def _start(self) -> None:
-        """Fit the first seconds, once there are enough samples."""
-        end = self._kept[-1].start + self._kept[-1].rows
-        wanted = self._start_rows
-        if end - self._kept[0].start >= wanted and end >= self._retry_at:
-            self._begin()
-            self._retry_at = end + wanted // 2
-            if self._fitted is None:
-                self._trim(end - wanted)
+        """Fit the first seconds, once there are enough, or show why that fails."""
+        end = self._end
+        if end - self._kept[0].start < self._wanted or end < self._retry_at:
+            return
+        self._retry_at = end + self._wanted // 2
+        motion = joined_motion(self._kept, self._kept[0].start, end)
+        self._moves = np.zeros(len(self.model.places))
+        if fault := self._standing(motion):
+            self._show_nothing(fault)
+            return
+        try:
+            first = first_fit(self.model, self._whole, np.concatenate(self._rows), self.rate_hz, self._block)
+            self._begin(first)
+        except (DataError, NotFiniteError, np.linalg.LinAlgError) as error:
+            self._follower = None
+            self._show_nothing(str(error))
 
-    def _advance(self, fitted: RollingFit, most: int) -> None:
-        """Take the next blocks, at most `most`, and renew the estimate when none is left.
+    def _begin(self, first: FirstFit) -> None:
+        """Follow the fit of the first seconds. Raises NotFiniteError."""
+        point = first.point
+        data = point.data
+        if data.measured_force:  # along a motion that the force makes likely: not as samples arrive
+            data = replace(data, denoise_correction=None, denoise_sd=0.0)
+        denoised = bool(point.placed) and not data.measured_force
+        self._margin = half_length(self.rate_hz, self.model.band) if denoised else 0
+        self._calm = record_denoising_filter(data, point.nu, point.S) if denoised else None
+        watched = located_laws(candidates(first.model, self.watch), data)
+        anchor = anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed, watched)
+        self._first, self._follower = first, Follower(anchor, self.time_constant_s)
+        self._moves, self._pieces, self._missing = data.rms[2], 0, None
+        self._next = -(-(self._kept[0].start + self._margin) // self._piece) * self._piece
+        self._advance(self._follower)
 
-        The work is spread over the calls. A whole record given in one call is worked through in it.
-        """
-        grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
-        at_once, taken = most > 1, 0
-        while (
-            taken < (most if fitted.settled else CATCH_UP_FACTOR * most)
-            and self._next + grid.size + fitted.margin <= end
-        ):
-            record = self._ahead = self._ahead or self._record(self._next - fitted.margin)
-            at = self._next - record.motion.start
-            fitted.forget()
-            self._fault = self._standing(record.motion.a[:, at : at + grid.size])
-            if record.motion.valid[at : at + grid.size].all() and not self._fault:
-                try:
-                    fitted.take(record, at, self._shaft.measured)
-                except NotFiniteError as error:
-                    self._fault = self._unshown = str(error)
-                    fitted.skip()
-            else:
-                fitted.skip()
-            self._next += grid.hop
-            taken += 1
-        if taken:
-            self._since_taken = True
-        if self._since_taken and self._next + grid.size + fitted.margin > end and (at_once or not taken):
-            if not fitted.settled and not (self._settle(fitted) and at_once):
-                return
-            self._trim(min(self._next - fitted.margin, end - self._start_rows))
-            self._since_taken = False
-            if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
-                self._solve()
+    def _advance(self, follower: Follower) -> None:
+        """Take the pieces of motion that are complete, and renew the estimate."""
+        took = False
+        while self._next + self._piece + self._margin <= self._end:
+            took, fault = True, self._take_piece(follower, self._next)
+            self._fault = fault or self._fault
+            self._next += self._piece
+        if took:
+            self._renew(follower)
 
-    def _standing(self, a: Array) -> str:
-        """A status if a place does not move, else empty. a : (places, n) acceleration, m/s^2."""
+    def _take_piece(self, follower: Follower, first: int) -> str:
+        """Take the piece of motion that begins at a row; a status if it is of no use, else empty."""
+        follower.forget(self._piece / self._block)
+        motion = joined_motion(self._kept, first - self._margin, first + self._piece + self._margin)
+        if fault := self._standing(motion):
+            return fault
+        try:
+            data = self._record(follower, motion, self._margin)
+            if data is not None:
+                follower.take(data, bool(self.watch) and self._pieces % PIECES_PER_WATCH == 0)
+                self._pieces += 1
+        except NotFiniteError as error:
+            return str(error)
+        return ""
+
+    def _record(self, follower: Follower, motion: BandLimitedMotion, margin: int) -> MotionRecord | None:
+        """The valid blocks of some motion as a record; None without any, or while the tacho gives no speed."""
+        phase = self._shaft.angle(motion.start, motion.start + motion.rows)
+        if phase is None:
+            return None
+        return piece_record(follower.anchor.data, self._first.model, motion, phase, self._calm, margin)
+
+    def _standing(self, motion: BandLimitedMotion) -> str:
+        """A status if a place does not move, else empty."""
+        a = motion.a[: len(self._moves), motion.valid]
         if not a.size:
             return ""
-        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
+        rms = np.sqrt(np.mean(np.square(a, dtype=np.float64), axis=1))
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
         still = np.flatnonzero(rms <= MAX_STILL_RMS_REL * usual)
-        return (
-            f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
-            if len(still)
-            else ""
-        )
+        if not still.size:
+            return ""
+        return f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
 
-    def _trim(self, needed: int) -> None:
-        """Drop kept motion before row `needed`."""
-        while len(self._kept) > 1 and self._kept[1].start <= needed:
-            self._kept.pop(0)
-        self._shaft.drop(self._kept[0].start)
-
-    def _begin(self) -> None:
-        """Fit the kept motion as a record, or show why that fails."""
-        record = self._record()
-        self._moves = np.zeros(len(record.motion.a))
-        self._fault = self._standing(record.motion.a[:, record.motion.valid])
-        if self._fault:
-            self._show_nothing(self._fault)
-            return
-        try:
-            model, point = first_fit(self.model, np.concatenate(self._rows), self.rate_hz, self._grid.size // 2)
-            record, start = start_without_lines(record, model, point, self._lines)
-            self._grid = record.grid
-            self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
-        except (DataError, NotFiniteError) as e:
-            self._show_nothing(str(e))
-            return
-        self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None
-
-    def _settle(self, fitted: RollingFit) -> bool:
-        """Fit the first blocks once all are taken; False if too few of them are valid, and a new start is due."""
-        if fitted.slow.n < MIN_BLOCKS:
-            self._fitted = None
-            return False
-        try:
-            fitted.settle(self._record())
-        except NotFiniteError as error:
-            self._fitted = None
-            self._show_nothing(str(error))
-            return False
-        self._since_solved = self._seen
-        return True
-
-    def _solve(self) -> None:
-        """Renew the estimate from the memories, or show why there is none."""
-        fitted = self._fitted
-        if fitted is None:
-            return
-        self._since_solved = 0
-        hop_s = self._grid.hop / self.rate_hz
-        fault, self._unshown = self._fault or self._unshown, ""
+    def _renew(self, follower: Follower) -> None:
+        """Renew the estimate, or show why there is none."""
+        fault, self._fault = self._fault, ""
+        n = follower.slow.n
         if fault:
             self._show_nothing(fault)
             return
-        if fitted.slow.n < MIN_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
+        seconds = n * self._block / self.rate_hz
+        if n < MIN_BLOCKS or seconds < MIN_MEMORY_SHARE * min(self.time_constant_s, WARM_UP_S):
             self._show_nothing("too few valid samples of late")
             return
         try:
-            fitted.solve(self._record)
-        except NotFiniteError as error:
+            follower.solve()
+            if follower.wants_anchor():
+                self._renew_anchor(follower)
+        except (NotFiniteError, np.linalg.LinAlgError) as error:
             self._show_nothing(str(error))
             return
-        parameters = judged_parameters(fitted.balance, *fitted.shown(), self.model)
-        samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
-        shown = self._scope.shown(parameters | fitted.held)
-        self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
+        if self.watch and self._pieces % PIECES_PER_LOOK == 1:
+            self._missing = missing_force(follower)
+        shown = self._scope.shown(judged_parameters(follower, self._first))
+        samples = follower.slow.n**2 / follower.slow.n2 * self._block
+        likelihood = follower.fit.log_likelihood if follower.fit is not None else None
+        self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=self._missing)
 
-
-def _known_line_stretches(model: Model, grid: BlockLayout) -> tuple[tuple[float, float], ...]:
-    """Stretches (f1, f2) in Hz about the lines of the model's periodic effects, strong or weak.
-
-    Empty with a tacho, as the lines move with the speed, and where the stretches would take half of the band.
-    """
-    half, low, high = 3.5 * grid.rate_hz / grid.size, *model.band
-    lines = [hz for hz in known_lines(model) if low - half < hz < high + half]
-    if model.tacho is not None or 4 * half * len(lines) > high - low:
-        return ()
-    return tuple((hz - half, hz + half) for hz in sorted(lines))
+    def _renew_anchor(self, follower: Follower) -> None:
+        """Renew the anchor from the last seconds, if they have enough whole blocks."""
+        block, first = self._block, self._kept[0].start + self._margin
+        rows = (self._end - self._margin - first) // block * block
+        motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
+        data = self._record(follower, motion, self._margin)
+        if data is not None and data.blocks >= START_BLOCKS // 2:
+            follower.renew_anchor(in_time_folds(data))
+            if self._margin:
+                self._calm = record_denoising_filter(in_time_folds(data), follower.anchor.nu, follower.anchor.S)
 
 
 def _sensor_gains(model: Model) -> Array:

@@ -4,42 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.arrays import Array
-from estimator.likelihood.motion.force_balance import Balance
-from estimator.likelihood.path.gram_likelihood import Point
-from estimator.model.rig import LINEAR_UNITS, Model
+from estimator.identification.batch.unknown_mass import NO_MASS_REASON, places_without_mass, with_mass_uncertainty
+from estimator.model.rig import LINEAR_UNITS
 from estimator.results import Parameter, with_unidentifiable_at
 
-NO_SCALE_REASON = "nothing in the model sets the scale of this value: give [rig.mass]"
-BLOCK_ENERGY_CORRELATION = (
-    0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
-)
+from .follower import Follower
+from .start import FirstFit
 
 
-def judged_parameters(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
-    """Parameters by full name: kL, c, m and S of each place, then those of the effects.
-
-    covariance : (p + 2 P, p + 2 P) of the parameters, log S and the sensor noise.
-    """
-    sd = np.sqrt(np.diag(covariance))
-    free = {
-        f.name: (f, (f.start + b if f.searched else b), sd[j])
-        for j, (f, b) in enumerate(zip(balance.free, point.beta.tolist(), strict=True))
-    }
+def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Parameter]:
+    """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
+    anchor, values, model = follower.anchor, follower.values(), first.model
+    own = anchor.names[: anchor.own]
+    sd = dict(zip(own, np.sqrt(np.diag(follower.covariance())) * anchor.scales[: anchor.own], strict=True))
+    units = dict(zip(own, anchor.units, strict=False))
+    (level, level_sd), S = follower.level(), follower.excitation()
     out: dict[str, Parameter] = {}
-    for i, place in enumerate(balance.places):
+    for i, place in enumerate(anchor.data.places):
         for key in ("kL", "c", "m"):
             name = f"{place}.{key}"
-            setting = model.linear.get(place, {}).get(key)
-            given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
-            if name in free:
-                out[name] = _judged_parameter(free[name][1], free[name][2], LINEAR_UNITS[key])
-            elif given is not None:
-                out[name] = Parameter(given, 0.0, LINEAR_UNITS[key], reason="given")
-        out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], LINEAR_UNITS["S"])
-    out |= {name: _judged_parameter(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
-    adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
-    return with_unidentifiable_at(adrift, NO_SCALE_REASON, out, "N")
+            if name in sd:
+                out[name] = _judged_parameter(values[name], sd[name], units[name])
+            elif key != "m" or model.cap_mass(place) is not None:
+                out[name] = Parameter(values[name], 0.0, LINEAR_UNITS[key], reason="given")
+        out[f"{place}.S"] = _judged_parameter(S[i] * level[i], S[i] * level_sd[i], LINEAR_UNITS["S"])
+    out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
+    out = with_mass_uncertainty(model, {**out, **first.held}, first.masses)
+    return {**with_unidentifiable_at(places_without_mass(model), NO_MASS_REASON, out, "N"), **first.masses}
 
 
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
@@ -47,12 +38,5 @@ def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
     judged = Parameter.from_estimate(value, sd, unit)
     if judged.identifiable:
         return judged
-    if not np.isfinite(sd):
-        return Parameter(None, None, unit, identifiable=False, reason=NO_SCALE_REASON)
-    return Parameter(
-        None,
-        None,
-        unit,
-        identifiable=False,
-        reason=f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record",
-    )
+    reason = f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record"
+    return Parameter(None, None, unit, identifiable=False, reason=reason)

@@ -1,8 +1,9 @@
 """The scope of a rolling estimate: effects that it estimates, holds at given values, or leaves to a fit.
 
-Laws of the states are estimated. Forces with memory and spectral shapes (coloured excitation, a sensor resonance) are
-held at the values of the rig file; without these values no parameter of their places is identifiable. Periodic forces
-are left out as lines. All other effects do not bias the rest, and are left to a fit.
+Laws of the states are estimated. The spectral shape of the excitation and the gain of a sensor are held at the values
+of the rig file; without these values no parameter of their places is identifiable. Beside a force with memory or a
+resonant sensor none is either. Periodic forces are left out as lines. All other effects do not bias the rest, and are
+left to a fit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, kinematic, written
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES
 from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
@@ -69,13 +71,12 @@ def rolling_scope(model: Model) -> RollingScope:
     kept: list[EffectUse] = []
     not_estimated: dict[str, Parameter] = {}
     lacking: dict[str, str] = {}
-    remembers = any(effect_of(use).kind == "memory" for use in model.effects)
     for use in model.effects:
         effect, new = effect_of(use), {}
         for key in at(effect, use, model):
             own = written(effect, use, model, key)
             names = {q.name: f"{key}.{use.name}.{q.name}" for q in effect.parameters}
-            held = _held_parameters(effect, model, remembers)
+            held = _held_parameters(effect, model)
             missing = [name for name in held if own.get(name, Setting()).value is None]
             if not _is_estimated_or_held(effect) or missing:
                 why = _reason_not_estimated(effect, missing)
@@ -83,15 +84,7 @@ def rolling_scope(model: Model) -> RollingScope:
                     names[q.name]: Parameter(None, None, q.unit, identifiable=False, reason=why)
                     for q in effect.parameters
                 }
-                if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
-                    lacking |= {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(own, model, p)}
-                elif effect.found_by == "samples":
-                    lacking |= dict.fromkeys([key], CLIPPED_REASON)
-                elif missing and not effect.scales_channel:
-                    places = (p for p in model.places if key in (p, p.split(".")[0]))
-                    lacking |= dict.fromkeys(
-                        places, f"not without the {', '.join(missing)} of {use.name}: {WRITE_HINT}"
-                    )
+                lacking |= _biased(use, effect, model, key, missing)
                 continue
             new[key] = {name: replace(s, fixed=s.fixed or name in held) for name, s in own.items()}
             for q in effect.parameters:
@@ -110,6 +103,21 @@ def rolling_scope(model: Model) -> RollingScope:
     )
 
 
+def _biased(use: EffectUse, effect: Effect, model: Model, key: str, missing: list[str]) -> dict[str, str]:
+    """Places whose numbers an effect at `key` biases as it is left out, with the reason that is shown."""
+    own = [p for p in model.places if key in (p, p.split(".")[0])]
+    if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
+        settings = written(effect, use, model, key)
+        return {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(settings, model, p)}
+    if effect.found_by == "samples":
+        return {key: CLIPPED_REASON}
+    if missing and not effect.scales_channel:
+        return dict.fromkeys(own, f"not without the {', '.join(missing)} of {use.name}: {WRITE_HINT}")
+    if effect.kind == "memory" or (effect.spectral_factor is not None and effect.name not in FORCE_SHAPES):
+        return dict.fromkeys(own, f"beside {use.name}: {FIT_HINT}")
+    return {}
+
+
 def _directions(node: str) -> tuple[str, ...]:
     """The places of a node such as "bearing1"."""
     return tuple(f"{node}.{d}" for d in CAP_DIRECTIONS)
@@ -126,12 +134,12 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
 
 def _is_estimated_or_held(effect: Effect) -> bool:
     """Whether an effect is estimated or held, not left to a fit."""
-    return _is_state_law(effect) or effect.kind == "memory" or _is_undone_as_given(effect)
+    return _is_state_law(effect) or _is_undone_as_given(effect)
 
 
 def _is_undone_as_given(effect: Effect) -> bool:
-    """Whether an effect is a known spectral shape or a gain, undone at the values of the rig file."""
-    return effect.spectral_factor is not None or effect.scales_channel
+    """Whether an effect is a known shape of the excitation or a gain, undone at the values of the rig file."""
+    return effect.name in FORCE_SHAPES or effect.scales_channel
 
 
 def _is_state_law(effect: Effect) -> bool:
@@ -139,19 +147,16 @@ def _is_state_law(effect: Effect) -> bool:
     return effect.kind == "force" and effect.name not in PERIODIC_EFFECTS
 
 
-def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]:
+def _held_parameters(effect: Effect, model: Model) -> list[str]:
     """Names of the parameters that are held at given values.
 
-    remembers : whether a force of the model has memory; then no nonlinear parameter is searched. A shaft order of a
-    parametric stiffness is never searched: the first seconds do not give it well enough to keep the phase.
+    A shaft order of a parametric stiffness is never searched: the first seconds do not give it well enough to keep the
+    phase.
     """
     if _is_undone_as_given(effect):
         return [q.name for q in effect.parameters]
-    if effect.kind != "memory" and not _is_state_law(effect):
-        return []
-    searched = [q for q in effect.parameters if not q.linear and not q.given and kinematic(q.scale, model) is None]
-    all_of_them = effect.kind == "memory" or remembers
-    return [q.name for q in searched if all_of_them or q.scale == "bpfo"]
+    orders = [q for q in effect.parameters if q.scale == "bpfo" and not (q.linear or q.given)]
+    return [q.name for q in orders if _is_state_law(effect) and kinematic(q.scale, model) is None]
 
 
 def _reason_not_estimated(effect: Effect, missing: list[str]) -> str:

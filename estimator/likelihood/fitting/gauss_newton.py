@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.effects.engine.strength import search_range
-from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
+from estimator.likelihood.motion.denoise import (
+    DenoisingFilter,
+    denoising_filter,
+    noise_displacement_psd,
+    noise_is_negligible,
+)
 from estimator.likelihood.motion.located_law import (
     LocatedLaw,
     first_stiffness,
@@ -291,15 +296,25 @@ def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Arr
 
 def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
     """The record with its denoised displacement; beside a measured force that is renewed by the force."""
-    noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.undone_noise_gain
-    if data.measured_force or noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
+    found = None if data.measured_force else record_denoising_filter(data, nu, S)
+    if found is None:
         return replace(data, denoise_correction=None, denoise_sd=0.0)
+    return replace(data, denoise_correction=found.of(data.x, data.rate_hz).astype(np.float32), denoise_sd=found.doubt)
+
+
+def record_denoising_filter(data: MotionRecord, nu: Array, S: Array) -> DenoisingFilter | None:
+    """The filter of the displacement that laws see; None where the sensor noise is negligible.
+
+    nu : (places,) sensor noise over S. S : (places,) N^2/Hz.
+    """
+    noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.undone_noise_gain
+    if noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
+        return None
     bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
     f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
     smooth = noise * data.f_hz**4
     noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
-    found = denoising_filter(f_hz, _displacement_psd(data, bins), noise, 0)
-    return replace(data, denoise_correction=found.of(data.x, data.rate_hz).astype(np.float32), denoise_sd=found.doubt)
+    return denoising_filter(f_hz, _displacement_psd(data, bins), noise)
 
 
 def _displacement_psd(data: MotionRecord, bins: NDArray[np.int64]) -> Array:

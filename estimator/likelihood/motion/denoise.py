@@ -35,16 +35,15 @@ class DenoisingFilter:
     """Wiener filter of the displacement at every place.
 
     f_hz : (f,) Hz. less : (places, f) gain of the filter less 1, from -1 (noise only) to 0 (motion only).
-    doubt : (places, 2) sd of displacement, m, and velocity, m/s, that remains. reach : rows of support on either side.
+    doubt : (places, 2) sd of displacement, m, and velocity, m/s, that remains.
     """
 
     f_hz: Array
     less: Array
     doubt: Array
-    reach: int
 
     def of(self, x: NDArray[np.floating], rate_hz: float) -> Array:
-        """(places, n) m, correction to add to x (places, n), valid but for `reach` rows at either end."""
+        """(places, n) m, correction to add to x (places, n); its ends are less exact."""
         w = 2 * np.pi * self.f_hz
 
         def one(i: int) -> Array:
@@ -68,17 +67,17 @@ def noise_is_negligible(f_hz: Array, e: Array, x2: Array) -> bool:
     return bool((e @ np.gradient(f_hz) <= MAX_NOISE_POWER_SHARE * x2).all())
 
 
-def denoising_filter(f_hz: Array, seen: Array, e: Array, reach: int) -> DenoisingFilter:
+def denoising_filter(f_hz: Array, seen: Array, e: Array) -> DenoisingFilter:
     """Wiener filter from the spectra of measured displacement and noise.
 
     f_hz : (f,) Hz, of the band, evenly spaced but for gaps. seen, e : (places, f) m^2/Hz, one-sided PSDs of the
-    measured displacement and of the noise in it. reach : rows of support on either side.
+    measured displacement and of the noise in it.
     """
     df, w = np.gradient(f_hz), 2 * np.pi * f_hz
     gain = np.clip(1.0 - e / np.maximum(_smooth(seen), e), 0.0, 1.0)
     lost = seen * gain * (1.0 - gain)
     doubt = np.sqrt(np.stack([lost @ df, lost @ (df * w**2)], axis=1))
-    return DenoisingFilter(f_hz, gain - 1.0, doubt, reach)
+    return DenoisingFilter(f_hz, gain - 1.0, doubt)
 
 
 def restore_mean_tangent(

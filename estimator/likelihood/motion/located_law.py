@@ -186,8 +186,26 @@ def own_response(response: NDArray[np.complex128] | complex, i: int, data: Motio
 
 def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bool:
     """Whether a law at place i has to be evaluated on a finer grid: it jumps, or its harmonics alias."""
-    size = data.sizes(i)
-    return has_jump(effect, p, size) or harmonics_alias(effect, p, size, data.rate_hz - data.band[1])
+    return _character(effect, p, data.sizes(i), data.rate_hz - data.band[1])[1]
+
+
+_CHARACTERS_HELD = 1024  # at most, in the memory of `_character`
+_characters: dict[tuple[int, bytes, bytes, float], tuple[Effect, NDArray[np.bool_], bool]] = {}
+
+
+def _character(effect: Effect, p: Array, size: Array, folding_hz: float) -> tuple[NDArray[np.bool_], bool]:
+    """Which of x, v, xo, vo a law reads, and whether it needs a finer grid. size : (4,) rms of the four.
+
+    It is remembered: pieces of a stream ask for the same law again and again.
+    """
+    key = id(effect), p.tobytes(), size.tobytes(), folding_hz
+    if (known := _characters.get(key)) is None:
+        reads = reads_states(effect, p, np.maximum(size, 1e-300))
+        sharp = has_jump(effect, p, size) or harmonics_alias(effect, p, size, folding_hz)
+        if len(_characters) >= _CHARACTERS_HELD:
+            _characters.clear()
+        known = _characters[key] = effect, reads, sharp  # holds the effect, so that its id stays its own
+    return known[1:]
 
 
 def _along(
@@ -198,13 +216,13 @@ def _along(
     A law that jumps, or whose harmonics alias, is evaluated on a finer grid. tangents : (2, n) to be filled with the
     tangents along x and v, on the grid of the record.
     """
-    o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
-    reads = reads_states(effect, p, np.maximum(size, 1e-300))
-    sharp = tangents is None and needs_finer_grid(effect, p, data, i)
+    o, n, fold_rows = data.other(i), data.x.shape[1], data.fold_rows
+    reads, jumps = _character(effect, p, data.sizes(i), data.rate_hz - data.band[1])
+    sharp = tangents is None and jumps
     zero, states = np.zeros(n), product((i, o), (data.denoised_displacement, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
     out, sums = np.empty(n), np.zeros((TIME_FOLDS, 4))
-    for f, a, b in _pieces(data):
+    for f, a, b in _pieces(fold_rows):
         rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1) if sharp else slice(a, b)
         x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
@@ -218,17 +236,16 @@ def _along(
         sums[f] += part
     if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < MAX_FORCE_N):
         raise NotFiniteError(effect.name, data.places[i])
-    sums /= np.maximum(data.fold_rows, 1)[:, None]
+    sums /= np.maximum(fold_rows, 1)[:, None]
     if data.denoise_correction is not None:
-        for f, a, b in _pieces(data):  # by time folds, as the black box: beside a drift theirs differ
+        for f, a, b in _pieces(fold_rows):  # by time folds, as the black box: beside a drift theirs differ
             restore_mean_tangent(out[a:b], sums[f], data.denoise_correction[:, a:b], i, -1 if o is None else o)
     return out, sums
 
 
-def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
-    """Pieces of the record: time fold, first row, row after the last."""
-    last = np.cumsum(data.fold_rows)
-    for f, (rows, end) in enumerate(zip(data.fold_rows.tolist(), last.tolist(), strict=True)):
+def _pieces(fold_rows: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
+    """Pieces of a record with so many rows in each time fold: time fold, first row, row after the last."""
+    for f, (rows, end) in enumerate(zip(fold_rows.tolist(), np.cumsum(fold_rows).tolist(), strict=True)):
         for a in range(end - rows, end, ROWS_PER_PIECE):
             yield f, a, min(a + ROWS_PER_PIECE, end)
 

@@ -99,7 +99,7 @@ def motion_record(
     slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
     loose = {p for p in (*shaken, *free_masses) if model.cap_mass(p) is None}
-    known = _inertia_and_shaft(model, mass, a, v, x, u)
+    known = inertia_and_shaft(model, mass, a, v, x, u)
     driven = np.zeros(P)
     for i, force in measured.items():
         known[i] -= force
@@ -215,7 +215,7 @@ def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, S
     return mass
 
 
-def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Series, u: Series) -> Series:
+def inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Series, u: Series) -> Series:
     """(places, n) N, inertia m a and the force of shaft and disc. u : reaction to the other end, overwritten."""
     P = len(model.places)
     known = u[:P] if len(u) else np.zeros_like(x)

@@ -215,14 +215,8 @@ def fit_increments(
     best = objective(delta)
     H = np.eye(k)
     for _ in range(steps):
-        b = np.concatenate([[1.0], delta])
-        GB = np.einsum("iab,b->ia", G, b)
-        S = (GB @ b) / n
-        j1, j2 = jacobian.derivatives(tangents, delta)
-        slope = 2 * GB[:, 1:] / S[:, None]
-        gradient = -slope.sum(axis=0) + B * j1 - penalty * delta
-        at_fixed_S = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
-        H = at_fixed_S - slope.T @ (slope / n[:, None])  # S follows the increments
+        gradient, at_fixed_S, H = slope_and_curvature(gram, jacobian, folds, blocks, delta)
+        gradient, at_fixed_S, H = gradient - penalty * delta, at_fixed_S + np.diag(penalty), H + np.diag(penalty)
         step = _solve(H, gradient, min_information)
         if not _is_positive(H):
             step = max(step, _solve(at_fixed_S, gradient, min_information), key=lambda z: objective(delta + z))
@@ -242,6 +236,23 @@ def fit_increments(
     S = np.einsum("a,iab,b->i", b, G, b) / n
     value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
     return PathFit(names=gram.names, delta=delta, covariance=_inverse(H), S=S, log_likelihood=value, scales=gram.scales)
+
+
+def slope_and_curvature(
+    gram: Gram, jacobian: Jacobian, folds: NDArray[np.int64], blocks: Array, delta: Array
+) -> tuple[Array, Array, Array]:
+    """Slope (k,) of L by the increments, and minus its second derivatives (k, k), at fixed S and with S that follows.
+
+    Arguments as of `fit_increments`. S is that of the maximum at these increments.
+    """
+    G, n, B = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1), blocks[folds].sum()
+    b = np.concatenate([[1.0], delta])
+    GB = np.einsum("iab,b->ia", G, b)
+    S = (GB @ b) / n
+    j1, j2 = jacobian.derivatives(gram.tangents_in(folds, blocks), delta)
+    slope = 2 * GB[:, 1:] / S[:, None]
+    at_fixed_S = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2
+    return B * j1 - slope.sum(axis=0), at_fixed_S, at_fixed_S - slope.T @ (slope / n[:, None])
 
 
 def _is_positive(H: Array) -> bool:

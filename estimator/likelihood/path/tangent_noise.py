@@ -22,9 +22,16 @@ from .path_fit import Gram
 from .whitening import Whitening
 
 
-def without_tangent_noise(gram: Gram, whitening: Whitening, uses: Sequence[LocatedLaw], N: Array) -> Gram:
-    """The Gram matrices without the noise of displacement sensors in the laws. N : (places,) its one-sided PSD."""
+def without_tangent_noise(
+    gram: Gram, whitening: Whitening, uses: Sequence[LocatedLaw], N: Array, weights: Array | None = None
+) -> Gram:
+    """The Gram matrices without the noise of displacement sensors in the laws. N : (places,) its one-sided PSD.
+
+    weights : (places, folds) sum of the weights over all bins and blocks of a fold; None: those of the time folds.
+    """
     data = whitening.data
+    if weights is None:
+        weights = np.multiply.outer(whitening.weight.sum(axis=1), data.fold_blocks)
     variance = N * (data.band[1] - data.band[0])
     noisy = [
         i for i, kind in enumerate(data.kinds)
@@ -34,7 +41,7 @@ def without_tangent_noise(gram: Gram, whitening: Whitening, uses: Sequence[Locat
     for i in noisy:
         rows, tangents = _row_tangents(gram, whitening, uses, i)
         if rows and f"{data.places[i]}.kL" in gram.names:
-            out = _corrected(out, whitening, i, rows, tangents, N[i], variance[i])
+            out = _corrected(out, whitening, i, rows, tangents, N[i] * weights[i], variance[i])
     return out
 
 
@@ -55,9 +62,12 @@ def _row_tangents(gram: Gram, whitening: Whitening, uses: Sequence[LocatedLaw], 
 
 
 def _corrected(
-    gram: Gram, whitening: Whitening, i: int, rows: list[int], tangents: Array, N: float, variance: float
+    gram: Gram, whitening: Whitening, i: int, rows: list[int], tangents: Array, noise: Array, variance: float
 ) -> Gram:
-    """The Gram matrices with the noise at place i taken out. variance : m^2, of the noise in the band."""
+    """The Gram matrices with the noise at place i taken out.
+
+    noise : (folds,) PSD of the noise times the sum of the weights. variance : m^2, of the noise in the band.
+    """
     data, at = whitening.data, np.array(rows)
     own, square = tangents - tangents.mean(axis=1, keepdims=True), data.displacement(i).astype(np.float64) ** 2
     square -= square.mean()
@@ -67,8 +77,8 @@ def _corrected(
     straight[at, kL] -= variance * slope / gram.scales[kL - 1]
     G = gram.G.copy()
     added = np.zeros_like(straight)
-    added[at[:, None], at] = N * whitening.weight[i].sum() * (own @ own.T) / own.shape[1]
-    G[i] = straight @ (G[i] - data.fold_blocks[:, None, None] * added) @ straight.T
+    added[at[:, None], at] = (own @ own.T) / own.shape[1]
+    G[i] = straight @ (G[i] - noise[:, None, None] * added) @ straight.T
     tangents_of = gram.tangents.copy()
     for row, b in zip(rows[1:], slope[1:], strict=True):
         tangents_of[row - 1] -= variance * b / gram.scales[kL - 1] * gram.tangents[kL - 1]

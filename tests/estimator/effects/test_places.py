@@ -11,7 +11,6 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import Size, search_range, size, strengths, with_effect
 from estimator.effects.places import at, kinematic, places, values, written
 from estimator.errors import ModelError
-from estimator.likelihood.motion.force_balance import build_balance
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 
 LINEAR = {
@@ -78,13 +77,6 @@ def test_what_is_written_for_the_place_comes_before_what_is_written_for_its_node
     assert (at_x["k"].value, at_x["gap"].value) == (2e6, 1e-7)
     assert written(clearance, mixed, RIG, "bearing1.y")["k"].value == 1e6
     assert written(clearance, mixed, RIG, "bearing2.x") == {}
-
-
-def test_a_fit_borrows_no_number_of_another_bearing() -> None:
-    parameters = {"bearing1.x": {"gap": Setting(3e-7, fixed=True)}, "bearing2.x": {}}
-    balance = build_balance(replace(RIG, effects=(EffectUse("clearance", parameters),)))
-    assert "bearing1.x.clearance.gap" not in balance.names
-    assert "bearing2.x.clearance.gap" in balance.names
 
 
 def test_kinematics_come_from_the_rig() -> None:

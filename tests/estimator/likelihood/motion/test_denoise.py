@@ -8,12 +8,10 @@ import pytest
 from reference_rig import CLEARANCE, GAP, PLACES, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
-from rolling_record import started
 
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.prepare import motion_record
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.results import Parameter
@@ -52,25 +50,6 @@ def test_the_error_is_as_said_and_tells_nothing_of_what_is_seen(kind: str) -> No
     assert abs(np.corrcoef(off, data.denoised_displacement(0))[0, 1]) < 0.03
 
 
-def test_the_rolling_estimate_sees_the_same_as_the_fit() -> None:
-    x = oscillator(60.0, 3)
-    model = Model((Channel("d", "bearing1", "x", "acceleration"),), (10.0, 300.0), "none", {"bearing1": 1.0})
-    measured = measured_by("acceleration", x)
-    y = measured + 0.3 * measured.std() * np.random.default_rng(3).normal(size=x.size)
-    data = fit_model(motion_record(model, y[:, None], RATE), []).data
-    record, start = started(model, y[:, None], RATE)
-    assert record.calm is not None
-    assert np.asarray(data.denoise_sd)[0] == pytest.approx(record.calm.doubt[0], rel=0.2)
-    assert (start.widths >= record.calm.doubt).all()
-    rows = slice(20_000, 30_000)
-    part = record.stretch(rows.start, rows.stop)
-    there = int(np.argmin(np.abs(data.t - rows.start / RATE)))
-    own = data.denoised_displacement(0)[there : there + 10_000]
-    assert np.std(own - part.calmed(0)[MARGIN_ROWS:-MARGIN_ROWS]) < 0.15 * np.std(
-        data.x[0] - data.denoised_displacement(0)
-    )
-
-
 @pytest.mark.parametrize(("kind", "share"), [("acceleration", 0.001), ("displacement", 0.1)])
 def test_little_noise_and_that_of_displacement_sensors_leave_the_motion_as_it_is(kind: str, share: float) -> None:
     model = Model((Channel("d", "bearing1", "x", kind),), (20.0, 300.0), "none", {"bearing1": 1.0})
@@ -80,7 +59,6 @@ def test_little_noise_and_that_of_displacement_sensors_leave_the_motion_as_it_is
     data = fit_model(motion_record(model, y[:, None], RATE), []).data
     assert data.denoise_correction is None
     assert np.array_equal(data.denoised_displacement(0), data.displacement(0))
-    assert started(model, y[:, None], RATE)[0].calm is None
 
 
 def noisy(seed: int, **hidden: float) -> np.ndarray:

@@ -10,16 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
-from rolling_record import evidence_of, record_of
+from reference_rig import CROSS, RATE, TRUTH, rig_model, rig_record
 
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.path.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
 from estimator.likelihood.path.determinant import Jacobian
-from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
@@ -146,31 +143,6 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
     damping = tangent_response(np.array([[[[0.0, 1.0]]]]), s)
     moved = J.value(damping, np.array([2 * MASS[0] * step])) - J.value(damping, np.zeros(1))
     assert moved == pytest.approx(BLOCK_S * step, abs=0.06 * BLOCK_S * abs(step) + 0.3)
-
-
-def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
-    """From decay to growth its value has no fold, and its slope is its own; on the axis both turned round."""
-    record = record_of(rig_model("cross_coupling"), rig_record(6.0, seed=2), RATE)
-    balance = build_balance(record.model, search=False)
-    likelihood = Likelihood(evidence_of(record, balance, 0.05 * record.scales))
-    true = {f"{p}.{key}": TRUTH[key][i] for i, p in enumerate(PLACES) for key in ("kL", "c")}
-    j, step = balance.names.index("bearing1.cross_coupling.k"), 200.0
-
-    def at(k: float) -> Local:
-        beta = np.array([k if i == j else true.get(name, 0.0) for i, name in enumerate(balance.names)])
-        return likelihood.at(Point(beta, TRUTH["S"].copy(), np.zeros(4)))
-
-    def determinant(k: float) -> float:
-        """Of the value what is no quadratic form: that is a parabola in k."""
-        B = balance.coefficients(at(k).point.beta)
-        return likelihood.line(B, B @ likelihood.R).total
-
-    for k in (0.0, 4.8e5, 5.4e5, 6.5e5, 8e5):
-        slope = (at(k + step).nll - at(k - step).nll) / (2 * step)
-        sd = at(k).hessian[j, j] ** -0.5
-        assert at(k).gradient[j] == pytest.approx(slope, abs=0.1 / sd)
-    shallow, steep = (np.diff([determinant(k) for k in pair])[0] for pair in ((4.5e5, 5.5e5), (6e5, 7e5)))
-    assert shallow == pytest.approx(steep, abs=0.2)  # nats per block of which the mirror image would take 80
 
 
 def test_a_step_that_takes_a_mode_across_the_line_is_not_taken() -> None:

@@ -7,16 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT
-from numpy.typing import NDArray
-from rolling_record import evidence_of, record_of
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
-from estimator.likelihood.motion.force_balance import build_balance
-from estimator.likelihood.path.gram_likelihood import Likelihood, responses
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -54,31 +50,6 @@ def test_noise_through_the_shaft_moves_no_stiffness_of_a_fit() -> None:
         for name in ("kL", "c"):
             p, truth = found.parameters[f"{place}.{name}"], rig.linear[place][name].value or 0.0
             assert abs((p.value or 0.0) - truth) < 3.0 * (p.sd or 0.0), (place, name)
-
-
-def test_the_determinant_of_a_fit_is_that_of_the_axis_beside_the_bins_left_out() -> None:
-    """What the ways to its line add beside the disc was left out, the shaft was as stiff there, and the line as near to
-    the disc's mode as to none: c of another record was 0.8 sd off."""
-    rig, fine = ringing(), 64
-    rig = replace(rig, linear={place: {**own, "c": Setting(10.0)} for place, own in rig.linear.items()})
-    record = record_of(rig, simulate(rig, RATE, 6.0, seed=1), RATE)
-    balance = build_balance(rig, search=False)
-    likelihood = Likelihood(evidence_of(record, balance, 0.05 * record.scales))
-    bins = likelihood.evidence.grid.f_hz
-    apart = np.diff(bins).min() * ((np.arange(fine) + 0.5) / fine - 0.5)
-    on_axis = responses(balance, likelihood.evidence.tangents, (bins[:, None] + apart).ravel())
-
-    def sums(beta: NDArray[np.float64]) -> NDArray[np.float64]:
-        B = balance.coefficients(beta)
-        line = likelihood.line(B, B @ likelihood.R)
-        assert line.shift > 0.0
-        return np.array([line.total, 2 * np.log(np.abs(np.linalg.det(B @ on_axis))).sum() / fine])
-
-    true = np.array([rig.linear[place][name].value for place, name in (own.rsplit(".", 1) for own in balance.names)])
-    for j, value in enumerate(true):
-        step = np.where(np.arange(true.size) == j, 0.02 * value, 0.0)
-        found, wanted = sums(true + step) - sums(true - step)
-        assert found == pytest.approx(wanted, rel=0.005)
 
 
 def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -> None:

@@ -1,15 +1,12 @@
-"""A measured force: the slope without a determinant, the path that the laws act along, noise in the force channels."""
+"""A measured force: noise in the force channels, the path that the laws act along."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rolling_record import evidence_of, started
 
 from estimator.identification.batch import spectral
-from estimator.likelihood.motion.force_balance import build_balance
-from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -35,28 +32,6 @@ def noisy() -> Floats:
     """(n, 4): accelerations with 0.1 m/s^2, forces with 0.1 N of noise; the force is 1.1 N rms."""
     y = simulate(rig(*MOTION, *FORCE, known=True), RATE, SECONDS, seed=5)
     return y + 0.1 * np.random.default_rng(0).normal(size=y.shape)
-
-
-def test_the_slope_is_that_of_what_is_left_at_held_noise(noisy: Floats) -> None:
-    record, start = started(rig(*MOTION, *FORCE), noisy, RATE)
-    balance = build_balance(record.model, start.sizes)
-    evidence = evidence_of(record, balance, start.widths, start.linear, start.nodes)
-    likelihood, point = Likelihood(evidence), start.point(balance)
-    point = Point(point.beta * 1.001, np.full(2, 1e-6), np.full(2, 1e-6))
-    local, count = likelihood.at(point), evidence.blocks * evidence.grid.per_cell
-
-    def left(beta: Floats) -> float:
-        power, gain = likelihood.power(beta)
-        return 0.5 * float(np.sum(count[:, None] * power / (point.S + gain @ point.noise)))
-
-    for k, free in enumerate(balance.free):
-        if not free.name.endswith("kNL"):  # a law is taken to be along a path without noise
-            h = np.zeros(point.beta.size)
-            h[k] = 1.0 / np.sqrt(local.hessian[k, k])
-            slope = (left(point.beta + h) - left(point.beta - h)) / (2 * h[k])
-            assert slope == pytest.approx(local.gradient[k], rel=2e-3)
-            curvature = (left(point.beta + h) + left(point.beta - h) - 2 * left(point.beta)) / h[k] ** 2
-            assert curvature == pytest.approx(local.hessian[k, k], rel=0.05)
 
 
 def test_noise_of_the_force_sensors_pulls_nothing(noisy: Floats) -> None:

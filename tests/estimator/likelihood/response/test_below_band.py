@@ -125,21 +125,6 @@ def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model
         assert abs(error.mean()) < 2.5 * sd.mean() / np.sqrt(error.size), name
 
 
-@pytest.mark.slow
-def test_the_rolling_estimate_sees_it_too(truth: Model) -> None:
-    """As the fit of the same record has them: without it kNL was 2.8 and 3.5 standard deviations below, kL 2."""
-    y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, full_scale=490.5)
-    rolling = RollingEstimator(truth, RATE, 1e4, watch=())
-    for part in np.split(y, np.arange(1280, len(y), 1280)):
-        rolling.update(part)
-    found, fit = rolling.snapshot().parameters, spectral.fit_spectral(truth, y, RATE).parameters
-    for name, p in fit.items():
-        if p.sd:
-            q = found[name]
-            assert abs((q.value or 0.0) - (p.value or 0.0)) < 0.8 * p.sd, name  # the last half second is not in it yet
-            assert q.sd == pytest.approx(p.sd, rel=0.2), name
-
-
 def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=2, noise=0.02, full_scale=490.5)
     y[110000:110300] = np.nan

@@ -1,0 +1,197 @@
+"""The working point that a rolling fit counts its increments from, thinned to what the determinant needs.
+
+The likelihood is that of a fit (`likelihood.path.path_fit`). It is exact for any increment of a parameter that the
+force is linear in, so one anchor serves until the mean tangents of the laws change much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.located_law import LocatedLaw
+from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.path.contour import modes_at
+from estimator.likelihood.path.determinant import Jacobian, tangent_times
+from estimator.likelihood.path.noise_bias import NoiseBias
+from estimator.likelihood.path.whitening import Whitening
+from estimator.likelihood.path.working_point import WorkingPoint, point_at
+from estimator.likelihood.response.regressor_set import (
+    Regressor,
+    regressor_response,
+    regressors,
+    tangent_response,
+    with_second_order,
+)
+
+NODES_PER_WIDTH = 6.0  # of a resonance: the midpoint rule is then good to 1e-3 standard deviations of the parameters
+NODES_PER_DISTANCE = 15.0  # from a resonance
+FREQUENCY_CELLS = 12  # of the band, each with its own sensor noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Anchor:
+    """A working point with k parameters, without its time series.
+
+    data : the record of the point without rows. kL, c, S : (places,) values. nu : (places,) sensor noise over S.
+    placed : laws with values. watched : candidate laws at amplitude 0. names, units : (k,) of the parameters, then of
+    the amplitudes of the candidates. own : k. scales : SI units per scaled unit, of all names. whitening : of the
+    residual force. nodes : (nodes,) numbers of the bins that the determinant is evaluated at. first : (nodes,) first
+    bin that each stands for. A, s : (nodes, places, places) kg and (nodes,) rad/s. second_order : (nodes, places) part
+    of A. responses : (all names, places, places, nodes) response of each scaled regressor. tangents : (all names,
+    places, places, 2) its mean tangent. mean_tangent : (places, places, 2) of all forces. cells : (cells,) first bin of
+    each cell of frequency.
+    """
+
+    data: MotionRecord
+    kL: Array
+    c: Array
+    S: Array
+    nu: Array
+    placed: tuple[LocatedLaw, ...]
+    watched: tuple[LocatedLaw, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    own: int
+    scales: Array
+    whitening: Whitening
+    nodes: NDArray[np.int64]
+    first: NDArray[np.int64]
+    A: Complexes
+    s: Complexes
+    second_order: Complexes
+    responses: Complexes
+    tangents: Array
+    mean_tangent: Array
+    cells: NDArray[np.int64]
+
+    @property
+    def lin(self) -> Array:
+        """(places, 3) mass kg, kL N/m, c N s/m."""
+        return np.stack([self.data.mass, self.kL, self.c], axis=1)
+
+    @property
+    def bins(self) -> int:
+        """Number of bins."""
+        return int(self.data.bins.size)
+
+    @property
+    def cell_slices(self) -> list[slice]:
+        """The bins of every cell."""
+        ends = np.append(self.cells[1:], self.bins).tolist()
+        return [slice(a, b) for a, b in zip(self.cells.tolist(), ends, strict=True)]
+
+    @property
+    def kept(self) -> Array:
+        """(places, bins) share of each bin in the likelihood."""
+        leakage = self.whitening.leakage
+        return np.ones((len(self.data.places), self.bins)) if leakage is None else leakage.kept
+
+    @property
+    def value_of(self) -> dict[str, float]:
+        """The value of every parameter by full name, SI."""
+        out = {f"{p}.kL": float(z) for p, z in zip(self.data.places, self.kL, strict=True)}
+        out |= {f"{p}.c": float(z) for p, z in zip(self.data.places, self.c, strict=True)}
+        out |= {f"{p}.m": float(z) for p, z in zip(self.data.places, self.data.mass, strict=True)}
+        return out | {use.name(k): float(z) for use in self.placed for k, z in enumerate(use.p)}
+
+    def problem(self, mean_tangent: Array, tangents: Array, share: Array) -> tuple[Jacobian, Complexes]:
+        """The determinant where the mean tangents are others than at the anchor, and the responses of the regressors.
+
+        mean_tangent : (places, places, 2). tangents : (m, places, places, 2) of the first m names, scaled. share :
+        (bins,) of each bin.
+        """
+        m, places = len(tangents), range(len(self.data.places))
+        moved = tangent_response(tangents - self.tangents[:m], self.s)
+        factor = self.whitening.measured
+        if factor is not None:
+            moved = tangent_times(moved, factor[self.nodes])
+        A = self.A + np.moveaxis(tangent_response(mean_tangent - self.mean_tangent, self.s), 2, 0)
+        weight = np.add.reduceat(share, self.first)
+        responses = self.responses[:m] + moved
+        if not self.data.residual_is_noise:
+            axis = self.s if self.nodes.size == self.bins else None
+            return Jacobian(A, axis, self.second_order, weight), responses
+        noise, per_psd = self.data.noise_shape * (self.nu * self.S)[:, None], self.whitening.weight / self.S[:, None]
+        at = self.nodes
+        bias = NoiseBias(A, self.s, noise=noise[places][:, at], per_psd=per_psd[:, at], kept=weight)
+        return bias, responses
+
+
+def anchor_at(
+    data: MotionRecord, kL: Array, c: Array, nu: Array, S: Array, placed: Sequence[LocatedLaw],
+    watched: Sequence[LocatedLaw] = (),
+) -> Anchor:  # fmt: skip
+    """The anchor of a model at given values on a record. Arguments as of `point_at`. Raises NotFiniteError."""
+    point = point_at(replace(data, level=None), kL, c, nu, S, list(placed))
+    candidates = _candidate_regressors(point, watched)
+    whitening, made = point.whitening, [*point.regressors, *candidates]
+    first, nodes = _nodes(point)
+    whole = point.whitened.tangents
+    if candidates:
+        more = whitening.tangents_to_measured(np.array([regressor_response(t, whitening.s) for t in candidates]))
+        whole = np.concatenate([whole, more])
+    cells = np.unique(np.geomspace(1, point.data.bins.size, FREQUENCY_CELLS + 1).astype(np.int64) - 1)[:-1]
+    none = np.zeros(point.data.x.shape[1], bool)
+    bare = point.data.at(none)
+    return Anchor(
+        data=bare,
+        kL=kL,
+        c=c,
+        S=S,
+        nu=nu,
+        placed=tuple(placed),
+        watched=tuple(watched),
+        names=tuple(t.name for t in made),
+        units=tuple(t.unit for t in made),
+        own=len(point.regressors),
+        scales=np.array([t.scale for t in made]),
+        whitening=Whitening(data=bare, noise=whitening.noise, s=whitening.s, measured=whitening.measured),
+        nodes=nodes,
+        first=first,
+        A=point.jacobian.A0[nodes],
+        s=whitening.s[nodes],
+        second_order=point.jacobian.second_order[nodes],
+        responses=np.ascontiguousarray(whole[..., nodes]),
+        tangents=np.array([t.tangent * t.scale for t in made]),
+        mean_tangent=point.mean_tangent,
+        cells=cells,
+    )
+
+
+def _candidate_regressors(point: WorkingPoint, watched: Sequence[LocatedLaw]) -> list[Regressor]:
+    """The regressors of the amplitudes of candidate laws, with their second-order response."""
+    out: list[Regressor] = []
+    for use in watched:
+        out += with_second_order(regressors(use, point.data, point.lin, True), use, point.fluctuations)
+    return out
+
+
+def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First bin and middle bin of groups of bins, small where the determinant is steep; every bin where its line leaves
+    the imaginary axis."""
+    data, f = point.data, point.data.f_hz
+    every = np.arange(f.size)
+    if point.whitening.s.real.any():
+        return every, every
+    w, spacing = 2 * np.pi * f, data.rate_hz / data.block
+    stiffness = np.einsum("iik->ik", point.mean_tangent)[:, 0]
+    resonances = np.sqrt(np.maximum(stiffness / data.mass, w[0] ** 2))
+    near = {int(np.argmin(np.abs(w - one))) for one in resonances}
+    modes = np.concatenate([modes_at(point.A[k], data.mass, 1j * w[k], data.disc, data.places) for k in sorted(near)])
+    away = np.abs(f[:, None] - modes.imag / (2 * np.pi)) / NODES_PER_DISTANCE
+    allowed = np.maximum(away, np.abs(modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
+    ends = np.append(np.flatnonzero(np.diff(data.bins) > 1) + 1, f.size)
+    first, k = [], 0
+    while k < f.size:
+        end = int(ends[np.searchsorted(ends, k, side="right")])
+        step = int(min(allowed[k : min(k + max(1, int(allowed[k])), end)].min(), end - k))
+        step = max(1, step - (step + 1) % 2)  # odd: a bin is in the middle
+        first.append(k)
+        k += step
+    starts = np.array(first, np.int64)
+    return starts, (starts + np.append(starts[1:], f.size) - 1) // 2

@@ -1,0 +1,224 @@
+"""The estimate of a rolling fit: the maximum of the path likelihood of its memories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.path.determinant import Jacobian
+from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments
+
+from .anchor import Anchor, anchor_at
+from .memory import Memory, Piece
+from .noise import renewed_noise
+from .piece import piece_sums
+
+FAST_TIME_CONSTANT_REL = 0.25  # time constant of the fast memory over that of the slow one
+MIN_FAST_BLOCKS = 10.0  # time constant of the fast memory, least number of blocks
+MIN_WATCHED_BLOCKS = 36.0  # time constant of the memory with the candidates, least number of blocks
+MAX_STEPS = 30  # of Newton, to a maximum
+MAX_NEWTON_SD = 1.0  # length of one step, standard deviations, that needs no second one
+MIN_CHANGE_SD = 5.0  # between the two memories, of a parameter that has changed
+SOLUTIONS_PER_CHECK = 2  # check for a change
+MAX_ANCHOR_SD = 5.0  # of an increment, beyond which the anchor is renewed
+MIN_LEVEL_RATIO = 1.1  # of the power, beyond which the mean tangents of a law are another: 5 % in rms
+MIN_EXCESS_SD = 3.0  # of a variance from the scatter of pieces above that of the Hessian: chance gives 1 in 700
+MIN_PIECES = 10.0  # for their scatter
+THE_FOLD = np.zeros(1, np.int64)  # the only fold of a memory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """The path likelihood of a memory. gram : one fold. blocks : (1,) weighted number of blocks."""
+
+    gram: Gram
+    jacobian: Jacobian
+    blocks: Array
+
+    def fit(self, start: Array, steps: int) -> PathFit:
+        """The maximum over the increments, from a start (k,), scaled."""
+        return fit_increments(self.gram, self.jacobian, THE_FOLD, self.blocks, start, None, steps)
+
+
+def problem_of(anchor: Anchor, memory: Memory, names: int) -> Problem:
+    """The likelihood of a memory in the first `names` parameters."""
+    K = names
+    tangents, share = memory.tangents[:K] / memory.n, memory.kept / memory.n
+    jacobian, responses = anchor.problem(memory.mean_tangent / memory.n, tangents, share)
+    P = len(anchor.data.places)
+    n = np.full((P, 1), memory.kept.sum())
+    gram = Gram(
+        G=memory.gram.sum(axis=0)[:, None, : 1 + K, : 1 + K], n=n, log_weight=np.zeros((P, 1)), tangents=responses,
+        scales=anchor.scales[:K], names=anchor.names[:K], units=anchor.units[:K],
+    )  # fmt: skip
+    return Problem(gram=gram, jacobian=jacobian, blocks=np.array([memory.n]))
+
+
+class Follower:
+    """Memories and estimate of a rolling fit.
+
+    anchor : that the increments `delta` (k,), scaled, are counted from. slow, fast, watched : memories; the last one
+    holds the candidates too. fit : the last maximum on the slow memory; None before the first one.
+    """
+
+    def __init__(self, anchor: Anchor, time_constant_s: float) -> None:
+        block_s = anchor.data.block / anchor.data.rate_hz
+        fast = max(FAST_TIME_CONSTANT_REL * time_constant_s, MIN_FAST_BLOCKS * block_s)
+        slow, quick = (float(np.exp(-block_s / t)) for t in (time_constant_s, fast))
+        self.anchor, self.delta = anchor, np.zeros(anchor.own)
+        self.slow, self.fast = Memory(slow), Memory(quick)
+        self.watched = Memory(max(slow, float(np.exp(-1.0 / MIN_WATCHED_BLOCKS))))
+        self.shared = 0.0  # sum of the products of the weights of `slow` and `fast`
+        self.fit: PathFit | None = None
+        self._slope: tuple[Array, Array] | None = None  # of the determinant of a block, by increments and by tangents
+        self._changes_in_a_row, self._solutions = 0, 0
+        self._anchored_level = np.ones(len(anchor.data.places))
+        self._noise: tuple[Array, Array] | None = None  # nu and S other than those of the anchor
+
+    def forget(self, blocks: float) -> None:
+        """Let all memories decay."""
+        for memory in (self.slow, self.fast, self.watched):
+            memory.forget(blocks)
+        self.shared *= (self.slow.keep * self.fast.keep) ** blocks
+
+    def take(self, data: MotionRecord, watched: bool) -> None:
+        """Add a record. watched : whether with the candidates. Raises NotFiniteError before any memory has changed."""
+        piece = piece_sums(self.anchor, data, self.delta, watched)
+        if watched:
+            self.watched.add(piece, None)
+            K = self.anchor.own
+            piece = replace(piece, gram=piece.gram[:, :, : 1 + K, : 1 + K], tangents=piece.tangents[:K])
+        score = self._score(piece)
+        self.slow.add(piece, score)
+        self.fast.add(piece, score)
+        self.shared += piece.blocks
+
+    def _score(self, piece: Piece) -> Array | None:
+        """(k,) slope of the log-likelihood of a piece at the estimate."""
+        if self.fit is None or self._slope is None:
+            return None
+        b, (own, by_tangent) = np.append(1.0, self.delta), self._slope
+        of_force = np.einsum("iab,b,i->a", piece.gram.sum(axis=0), b, 2.0 / self.fit.S)[1:]
+        moved = piece.tangents - self.slow.tangents / self.slow.n
+        return np.asarray(piece.blocks * (own + np.einsum("kijc,jic->k", moved, by_tangent)) - of_force)
+
+    def solve(self) -> None:
+        """Renew the estimate from the slow memory, and that memory if the recent data contradict it."""
+        self._renew()
+        if self._solutions % SOLUTIONS_PER_CHECK == 0:
+            self._changes_in_a_row = self._changes_in_a_row + 1 if self._has_changed() else 0
+            if self._changes_in_a_row >= 2:
+                self._replace()
+        self._solutions += 1
+
+    def _renew(self) -> None:
+        """Make the maximum on the slow memory the estimate: by one Newton step, or by several if that is long."""
+        problem = problem_of(self.anchor, self.slow, self.anchor.own)
+        steps = MAX_STEPS if self.fit is None else 1
+        fit = problem.fit(self.delta, steps)
+        far = np.abs(fit.delta - self.delta) > MAX_NEWTON_SD * np.sqrt(np.diag(fit.covariance))
+        fit = problem.fit(fit.delta, MAX_STEPS) if steps == 1 and far.any() else fit
+        self.fit, self.delta = fit, fit.delta
+        self._slope = self._slopes(problem, fit.delta)
+
+    def _slopes(self, problem: Problem, delta: Array) -> tuple[Array, Array]:
+        """Slopes of the determinant of a block by the increments (k,) and by the mean tangents (places, places, 2)."""
+        jacobian, tangents = problem.jacobian, problem.gram.tangents
+        slope = jacobian.derivatives(tangents, delta)[0]
+        inverse = np.linalg.inv(jacobian.tangent_matrix(tangents, delta)) * jacobian.weight[:, None, None]
+        s = self.anchor.s[:, None, None]
+        by_tangent = np.stack([(inverse / s**2).real.sum(axis=0), (inverse / s).real.sum(axis=0)], axis=-1)
+        noise = self.anchor.data.residual_is_noise
+        return slope, np.zeros_like(by_tangent) if noise else by_tangent
+
+    def covariance(self) -> Array:
+        """(k, k) of the increments, scaled: inverse Hessian, wider where the scores of the pieces scatter more."""
+        fit, slow = self._maximum(), self.slow
+        bread = fit.covariance
+        out = bread * (slow.n2 / slow.n)
+        count = slow.pieces2**2 / slow.pieces4 if slow.pieces4 > 0.0 else 0.0
+        if count < MIN_PIECES:
+            return np.asarray(out)
+        ratio = np.einsum("ab,bc,ca->a", bread, slow.spread, bread) / np.diag(out)
+        wider = np.where(ratio - 1.0 > MIN_EXCESS_SD * np.sqrt(2.0 / count), ratio, 1.0)
+        return np.asarray(out * np.sqrt(np.multiply.outer(wider, wider)))
+
+    def excitation(self) -> Array:
+        """(places,) N^2/Hz, PSD of the excitation at the level of the anchor."""
+        return self._maximum().S
+
+    def _maximum(self) -> PathFit:
+        """The last maximum. Raises RuntimeError before the first one."""
+        if self.fit is None:
+            raise RuntimeError("no estimate yet")
+        return self.fit
+
+    def level(self) -> tuple[Array, Array]:
+        """(places,) recent power of the excitation over that of the anchor, and its standard deviation."""
+        m = self.fast
+        mean = m.level / m.n
+        if self.anchor.data.measured_force:
+            return mean, mean * np.sqrt(m.n2 / m.n**2 / (m.kept.sum() / m.n))
+        scatter = np.maximum(m.level2 / m.n - mean**2, 0.0)
+        least = mean**2 / (m.kept.sum() / m.n)
+        return mean, np.sqrt(np.maximum(scatter, least) * m.n2) / m.n
+
+    def _has_changed(self) -> bool:
+        """Whether the fast memory contradicts the slow one."""
+        f, s = self.fast, self.slow
+        recent = problem_of(self.anchor, f, self.anchor.own).fit(self.delta, 1)
+        spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
+        variance = np.diag(recent.covariance) * f.n * max(spread, 1e-9)
+        return bool(np.any(np.abs(recent.delta - self.delta) > MIN_CHANGE_SD * np.sqrt(variance)))
+
+    def _replace(self) -> None:
+        """Replace the slow memory by the fast one, and clear that of the candidates, which has no recent one."""
+        self.slow.copy_from(self.fast)
+        self.shared, self._changes_in_a_row = self.fast.n2, 0
+        self.watched.clear()
+        self.fit = None
+        self._renew()
+
+    def wants_anchor(self) -> bool:
+        """Whether the values, the mean tangents of the laws or the sensor noise have moved far from the anchor."""
+        if self.fit is None:
+            return False
+        if self._solutions % SOLUTIONS_PER_CHECK == 1:
+            self._noise = renewed_noise(self.anchor, self.slow, self.delta)
+        far = np.abs(self.delta) > MAX_ANCHOR_SD * np.sqrt(np.diag(self.covariance()))
+        ratio = np.abs(np.log(self.fast.level / self.fast.n / self._anchored_level))
+        return bool(self._noise or far.any() or (self.anchor.placed and (ratio > np.log(MIN_LEVEL_RATIO)).any()))
+
+    def renew_anchor(self, data: MotionRecord) -> None:
+        """Count the increments from the present values. data : the last seconds. Raises NotFiniteError."""
+        old, values = self.anchor, self.values()
+        places = old.data.places
+        kL, c = (np.array([values[f"{p}.{key}"] for p in places]) for key in ("kL", "c"))
+        mass = np.array([values.get(f"{p}.m", m) for p, m in zip(places, old.data.mass, strict=True)])
+        placed = [u.with_values(np.array([values[u.name(k)] for k in range(u.p.size)])) for u in old.placed]
+        data = data.with_mass(mass) if data.free_inertia else data
+        nu, S = self._noise or (old.nu, old.S)
+        self._noise = None
+        new = anchor_at(data, kL, c, nu, S, placed, old.watched)
+        if new.names != old.names:
+            return
+        weight = [np.add.reduceat(a.whitening.weight * a.kept, a.cells, axis=1).T for a in (new, old)]
+        for memory in (self.slow, self.fast, self.watched):
+            memory.reweighted(weight[0] / weight[1], old.S / S)
+        ratio = new.scales / old.scales
+        self.slow.moved(self.delta, ratio[: new.own])
+        self.fast.moved(self.delta, ratio[: new.own])
+        self.watched.moved(np.append(self.delta, np.zeros(ratio.size - new.own)), ratio)
+        self._anchored_level = self.fast.level / self.fast.n
+        self.anchor, self.delta = new, np.zeros(new.own)
+        self.solve()
+
+    def values(self) -> dict[str, float]:
+        """The value of every parameter of the model by full name, SI."""
+        out = self.anchor.value_of
+        for name, step in zip(self.anchor.names, self.delta * self.anchor.scales[: self.anchor.own], strict=False):
+            out[name] = out.get(name, 0.0) + float(step)
+        return out

@@ -1,0 +1,220 @@
+"""A piece of a stream as a motion record, and its sums at the anchor of a rolling fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Series
+from estimator.likelihood.motion.denoise import DenoisingFilter
+from estimator.likelihood.motion.force_balance import force_channels
+from estimator.likelihood.motion.located_law import law_along_record
+from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
+from estimator.likelihood.motion.prepare import inertia_and_shaft
+from estimator.likelihood.path.path_fit import Gram
+from estimator.likelihood.path.tangent_noise import without_tangent_noise
+from estimator.likelihood.response.regressor_set import linear_regressors, regressors
+from estimator.model.rig import Model
+from estimator.signals.band_limit import BandLimitedMotion
+
+from .anchor import Anchor
+from .memory import Piece
+
+MIN_LEVEL = 1e-12  # of a piece
+MAX_LINE_P = 1e-9  # of a bin of noise, to be taken for a line
+LINE_REACH_SHARE = 0.3  # of S: what leaks farther from a line is neglected
+LINE_SURROUNDINGS_BINS = 41  # whose median a line stands out of: fewer than a resonance is wide
+
+
+def joined_motion(parts: Sequence[BandLimitedMotion], first: int, stop: int) -> BandLimitedMotion:
+    """Rows first ... stop - 1 of the motion, of parts that follow one another."""
+    own = [p for p in parts if p.start < stop and p.start + p.rows > first]
+
+    def cut(z: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        joined = np.concatenate(z, axis=-1) if len(z) > 1 else z[0]
+        return joined[..., first - own[0].start : stop - own[0].start]
+
+    slow = None if own[0].slow is None else cut([p.slow for p in own if p.slow is not None])
+    valid = cut([p.valid for p in own])
+    a, v, x, u = (cut([getattr(p, name) for p in own]) for name in "avxu")
+    return BandLimitedMotion(start=first, a=a, v=v, x=x, u=u, valid=np.asarray(valid, bool), slow=slow)
+
+
+def piece_record(
+    like: MotionRecord, model: Model, motion: BandLimitedMotion, phase: Array, calm: DenoisingFilter | None, margin: int
+) -> MotionRecord | None:
+    """The valid blocks of some motion as a record; None without any.
+
+    like : record with the fields that do not depend on time. phase : (n,) rad of all rows of the motion. calm : filter
+    of the displacement that laws see; None: unfiltered. margin : rows at either end that are not of the record.
+    """
+    block, P = like.block, len(like.places)
+    valid = motion.valid[margin : motion.rows - margin].reshape(-1, block).all(axis=1)
+    if not valid.any():
+        return None
+    rows = np.flatnonzero(np.repeat(valid, block)) + margin
+    at = slice(margin, motion.rows - margin) if valid.all() else rows
+
+    def taken(z: NDArray[np.floating]) -> Series:
+        return np.asarray(z[..., at], np.float32)
+
+    a, v, x, u = (taken(z) for z in (motion.a, motion.v, motion.x, motion.u))
+    known = inertia_and_shaft(model, like.mass, a, v[:P], x[:P], u.copy())
+    for k, i in enumerate(force_channels(model)):
+        known[i] -= a[P + k]
+    slow = None if motion.slow is None else taken(motion.slow[:P])
+    correction = None if calm is None else taken(calm.of(motion.x[:P], like.rate_hz))
+    starts = motion.start + margin + np.flatnonzero(valid) * block
+    return replace(
+        like, v=v[:P], x=x[:P], known=known, t=(motion.start + rows) / like.rate_hz, phase=phase[at], start=starts,
+        fold=np.zeros(starts.size, np.int64), measured=slow, slow=slow, denoise_correction=correction, level=None,
+        below_band_force=None, free_inertia={i: a[i] for i in like.free_inertia},
+    )  # fmt: skip
+
+
+def in_time_folds(data: MotionRecord) -> MotionRecord:
+    """The record of some seconds with the time folds of a fit."""
+    return replace(data, fold=time_folds(data.blocks))
+
+
+@dataclass(slots=True)
+class _Forces:
+    """Forces at one place: what no increment changes, and the regressors by number, series and value."""
+
+    known: NDArray[np.floating]
+    numbers: list[int] = field(default_factory=list)
+    series: list[NDArray[np.floating]] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+
+
+def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) -> Piece:
+    """The sums of a record at an anchor. Raises NotFiniteError where a law is not finite.
+
+    delta : (k,) increments at which the level of the excitation is taken. watched : whether with the candidates.
+    """
+    K, P = len(anchor.names) if watched else anchor.own, len(data.places)
+    tangents, mean_tangent = np.zeros((K, P, P, 2)), np.zeros((P, P, 2))
+    forces = _forces(anchor, data, watched, tangents, mean_tangent)
+    spectra = [_spectra(anchor, i, own, data.blocks) for i, own in enumerate(forces)]
+    power = np.array([_power(Z, own.numbers, delta) for Z, own in zip(spectra, forces, strict=True)]) / data.blocks
+    mask = None if data.measured_force else line_mask(power, data.blocks)
+    kept = anchor.kept if mask is None else anchor.kept * mask
+    level = _level(anchor, power, kept)
+    gram = np.zeros((anchor.cells.size, P, 1 + K, 1 + K))
+    for i, (Z, own) in enumerate(zip(spectra, forces, strict=True)):
+        if level[i] != 1.0:
+            psd = anchor.whitening.relative_psd(i, level[i : i + 1])[0]
+            Z *= np.repeat(1.0 / np.sqrt(psd), 2).astype(np.float32)
+        if mask is not None:
+            Z *= np.repeat(mask, 2).astype(np.float32)
+        at = np.array([0, *(1 + k for k in own.numbers)])
+        for c, cell in enumerate(anchor.cell_slices):
+            z = Z[:, :, 2 * cell.start : 2 * cell.stop].reshape(len(Z), -1)
+            gram[c, i][at[:, None], at] = z @ z.T
+    gram, tangents = _without_noise(anchor, data, gram, tangents, kept)
+    return Piece(gram=gram, blocks=float(data.blocks), tangents=tangents, mean_tangent=mean_tangent,
+                 kept=kept.mean(axis=0), level=level)  # fmt: skip
+
+
+def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, mean_tangent: Array) -> list[_Forces]:
+    """The forces at every place. tangents, mean_tangent : filled with those of the regressors and of all forces."""
+    numbers, lin, value_of = {name: k for k, name in enumerate(anchor.names)}, anchor.lin, anchor.value_of
+    out = [_Forces(known) for known in data.known]
+    linear = [t for i in range(len(out)) for t in linear_regressors(data, i, lin[i])]
+    made = [(t, 0.0 if t.mass_at is not None else value_of[t.name]) for t in linear]  # m a is known
+    for i, place in enumerate(data.places):
+        for which, (key, z) in enumerate((("kL", data.x[i]), ("c", data.v[i]))):
+            if (held := data.held.get(f"{place}.{key}")) is not None:
+                out[i].known = out[i].known + np.float32(held) * z
+                mean_tangent[i, i, which] += held
+    for use in anchor.placed:
+        own = {t.name: t for t in regressors(use, data, lin, True)}
+        amplitudes = [use.name(k) for k, q in enumerate(use.effect.parameters) if q.linear]
+        whole = not amplitudes or not own.keys() >= set(amplitudes)
+        values = {use.name(k): float(z) for k, z in enumerate(use.p)}
+        made += [(t, 0.0 if whole else values[t.name]) for t in own.values()]
+        for i in use.at if whole else ():
+            force, slopes, _ = law_along_record(use, data, i, lin)
+            out[i].known = out[i].known + force
+            mean_tangent[i] += data.over_folds(slopes)
+    for use in anchor.watched if watched else ():
+        made += [(t, 0.0) for t in regressors(use, data, lin, True)]
+    for t, value in made:
+        k = numbers[t.name]
+        tangents[k] = t.tangent * anchor.scales[k]
+        mean_tangent += value * t.tangent
+        for i, series in t.series.items():
+            out[i].numbers.append(k)
+            out[i].series.append(series)
+            out[i].values.append(value)
+    return out
+
+
+def _spectra(anchor: Anchor, i: int, own: _Forces, blocks: int) -> NDArray[np.float32]:
+    """(1 + regressors, blocks, 2 bins) whitened spectra at place i, of the residual force first."""
+    out = np.empty((1 + len(own.numbers), blocks, 2 * anchor.bins), np.float32)
+    anchor.whitening.spectrum(i, own.known, out=out[0])
+    for Z, k, series, value in zip(out[1:], own.numbers, own.series, own.values, strict=True):
+        anchor.whitening.spectrum(i, series, anchor.scales[k], Z)
+        if value:
+            out[0] += np.float32(value / anchor.scales[k]) * Z
+    return out
+
+
+def _power(Z: NDArray[np.float32], numbers: list[int], delta: Array) -> Array:
+    """(bins,) power of the residual force, over all blocks, from the spectra of a place."""
+    step = np.append(1.0, [delta[k] if k < delta.size else 0.0 for k in numbers]).astype(np.float32)
+    F = np.tensordot(step, Z, 1)
+    return np.asarray(np.einsum("bk,bk->k", F, F).reshape(-1, 2).sum(axis=1), np.float64)
+
+
+def _level(anchor: Anchor, power: Array, kept: Array) -> Array:
+    """(places,) power of the excitation over that of the anchor. power : (places, bins) of a block."""
+    if anchor.data.measured_force:
+        return np.ones(len(power))
+    force = 1.0 - anchor.whitening.noise.share
+    excess = (power / anchor.S[:, None] - 1.0) * (kept > 0.0)
+    level = 1.0 + (excess * force).sum(axis=1) / np.maximum((kept * force**2).sum(axis=1), 1e-300)
+    return np.asarray(np.maximum(level, MIN_LEVEL))
+
+
+def line_mask(power: Array, blocks: int) -> Array | None:
+    """(bins,) 0 about narrow lines, else 1; None without any line. power : (places, bins) mean over some blocks."""
+    from scipy.special import chdtri
+
+    limit = chdtri(2 * blocks, MAX_LINE_P) / chdtri(2 * blocks, 0.5)
+    if power.shape[1] < 2 * LINE_SURROUNDINGS_BINS or not np.any(
+        power > limit * np.median(power, axis=1, keepdims=True)
+    ):
+        return None
+    from scipy.ndimage import median_filter
+
+    about = median_filter(power, size=(1, LINE_SURROUNDINGS_BINS), mode="nearest")
+    ratio = (power / np.maximum(about, 1e-300)).max(axis=0)
+    lines = np.flatnonzero(ratio > limit)
+    if not lines.size:
+        return None
+    out, bins = np.ones(ratio.size), np.arange(ratio.size)
+    for k, reach in zip(lines, np.sqrt(ratio[lines] / LINE_REACH_SHARE) / np.pi + 1.0, strict=True):
+        out[np.abs(bins - k) <= reach] = 0.0
+    return out
+
+
+def _without_noise(
+    anchor: Anchor, data: MotionRecord, gram: Array, tangents: Array, kept: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """Products and tangents without the noise of displacement sensors in the laws."""
+    if "displacement" not in data.kinds or not anchor.placed:
+        return gram, tangents
+    names = anchor.names[: len(tangents)]
+    weights = np.add.reduceat(anchor.whitening.weight * kept, anchor.cells, axis=1) * data.blocks
+    n, none = np.zeros(weights.shape), np.zeros(weights.shape)
+    whole = Gram(G=np.moveaxis(gram, 0, 1), n=n, log_weight=none, tangents=tangents.astype(complex),
+                 scales=anchor.scales[: len(names)], names=names, units=anchor.units[: len(names)])  # fmt: skip
+    here = replace(anchor.whitening, data=data)
+    out = without_tangent_noise(whole, here, (*anchor.placed, *anchor.watched), anchor.nu * anchor.S, weights)
+    return (gram, tangents) if out is whole else (np.moveaxis(out.G, 1, 0), out.tangents.real)
