@@ -69,8 +69,8 @@ class Follower:
         fast = max(FAST_TIME_CONSTANT_REL * time_constant_s, MIN_FAST_BLOCKS * block_s)
         slow, quick = (float(np.exp(-block_s / t)) for t in (time_constant_s, fast))
         self.anchor, self.delta = anchor, np.zeros(anchor.own)
-        self.slow, self.fast = Memory(slow), Memory(quick)
-        self.watched = Memory(max(slow, float(np.exp(-1.0 / MIN_WATCHED_BLOCKS))))
+        self.slow, self.fast = Memory(keep=slow), Memory(keep=quick)
+        self.watched = Memory(keep=max(slow, float(np.exp(-1.0 / MIN_WATCHED_BLOCKS))))
         self.shared = 0.0  # sum of the products of the weights of `slow` and `fast`
         self.fit: PathFit | None = None
         self._slope: tuple[Array, Array] | None = None  # of the determinant of a block, by increments and by tangents

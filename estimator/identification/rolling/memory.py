@@ -27,7 +27,7 @@ class Piece:
     level: Array
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Memory:
     """Weighted sums of pieces. The weight of a piece decays by `keep` per block.
 
@@ -99,4 +99,4 @@ class Memory:
 
     def clear(self) -> None:
         """Forget everything."""
-        self.copy_from(Memory(self.keep))
+        self.copy_from(Memory(keep=self.keep))
