@@ -4,6 +4,6 @@ set -euo pipefail
 cd "$(dirname "$0")"
 venv=${ROTORSCOPE_VENV:-.venv}
 [ -x "$venv/bin/python" ] || python3 -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable .
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[all]"
 "$venv/bin/python" -m compileall -q daq drivers estimator  # pip does it for what is not editable; 0.2 s of every command
 exec "$venv/bin/rotorscope" demo "$@"

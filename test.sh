@@ -5,7 +5,7 @@ cd "$(dirname "$0")"
 venv=${ROTORSCOPE_VENV:-.venv-test}
 [ "${CI:-}" = true ] && rm -rf "$venv"
 [ -x "$venv/bin/python" ] || python3 -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev,files]"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 "$venv/bin/python" -m compileall -q daq drivers estimator  # pip does it for what is not editable; 0.2 s of every command
 export PATH="$PWD/$venv/bin:$PATH"
 ruff check .

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     pass
 
 from daq.base.console.ahead import loaded
+from daq.base.console.extras import check_installed
 from daq.base.console.memory import keep_freed
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import number, parameters_table
@@ -29,6 +30,7 @@ from daq.rig.edit import of_channels, with_effect, with_values
 from daq.rig.rig import Rig, load_rig
 
 MIN_MISSING_SHARE = 1e-4  # of the samples missing: it may be that which leaves too few stretches
+REPORT_MODULES = ("matplotlib", "jinja2")
 IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
 Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
@@ -220,6 +222,7 @@ def _values(rig: Rig) -> Fit | None:
 def reproduce(output: Output, out: Path) -> None:
     from daq.commands.study.reproduce import reproduce as make
 
+    check_installed(REPORT_MODULES, "report", "reproduce")
     with output.progress("reproducing the paper") as progress:
         value = make(out, progress)
     output.result(value, f"{out}/index.html: tables 1 to 3 and figures 4 to 19; numbers in {out}/numbers.json")
@@ -233,8 +236,10 @@ class Pages:
         if html is not None and not html.absolute().parent.is_dir():
             raise ConfigError(f"--html {html}: folder {html.parent} does not exist; create it first")
         if html is not None:
+            check_installed(REPORT_MODULES, "report", "--html")
             spare(html, ".toml")
         if rerun is not None:
+            check_installed(("rerun",), "", "--rerun")
             from daq.report.rerun.process import viewer_target
 
             rerun = viewer_target(rerun)

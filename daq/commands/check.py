@@ -16,6 +16,7 @@ from daq.rig.rig import Rig, load_rig
 from estimator.errors import ModelError
 from estimator.model import Model
 
+OUR_PACKAGES = ("daq", "drivers", "estimator")
 SHAFT_WORDS = {
     "chain": "chain (caps joined through the disc)",
     "beam": "free-free beam",
@@ -26,10 +27,22 @@ SHAFT_WORDS = {
 def check(output: Output, path: Path) -> None:
     rig = load_rig(path)
     check_laws(rig, path)
-    remarks = _remarks(rig)
+    remarks = _remarks(rig) + overwritten()
     notes = [f"note: {text}" for text in remarks]
     value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}
     output.result(value, _summary(rig), "", *notes, f"{path}: valid")
+
+
+def overwritten() -> list[str]:
+    """Other packages that hold files of the same names as ours: which one is imported is chance."""
+    from importlib.metadata import packages_distributions
+
+    owners = packages_distributions()
+    return [
+        f'the package "{name}" is also installed by {", ".join(others)}: uninstall that, and install rotorscope again'
+        for name in OUR_PACKAGES
+        if (others := sorted(set(owners.get(name, ())) - {"rotorscope"}))
+    ]
 
 
 def check_laws(rig: Rig, path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.rule import Rule
 
+from daq.base.console.extras import installed, missing_library
 from daq.base.console.output import Output, write_whole
 from daq.base.console.tables import ladder_table, parameters_table
 from daq.base.contract.errors import CheckFailed, ConfigError
@@ -94,7 +95,6 @@ def acquire_demo(
     """Acquire the true machine over the virtual bus into a log and a recording for the viewer."""
     from daq.commands.live.parts import Operator
     from daq.log.writer import LogWriter
-    from daq.report.rerun.sink import RerunSink
     from daq.session.acquire import acquire_from
     from daq.session.simulation import machine
     from drivers.contract import VirtualConfig
@@ -102,7 +102,13 @@ def acquire_demo(
 
     device = machine(rig, truth=truth, seed=DEMO_SEED, seconds=seconds).device
     driver = make_driver(VirtualConfig(None), device=device)
-    sinks: list[Sink] = [LogWriter(log), RerunSink(str(recording)), Watch(output, known_values(truth))]
+    sinks: list[Sink] = [LogWriter(log), Watch(output, known_values(truth))]
+    if installed("rerun"):
+        from daq.report.rerun.sink import RerunSink
+
+        sinks.insert(1, RerunSink(str(recording)))
+    else:
+        output.note(missing_library("rerun", "", f"no {recording.name}"))
     metadata = {"command": "demo", "link": "virtual:"}
     summary = acquire_from(rig, driver, sinks, seconds, metadata=metadata, notify=Operator(output))
     lost = f"{summary.lost_samples} samples lost" if summary.lost_samples else "no sample lost"
@@ -163,9 +169,6 @@ def replay_demo(output: Output, log: Path) -> None:
 def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tuple[list[dict[str, Any]], list[Path]]:
     """Compare, diagnose, add, compare: the ladder of errors and the files written."""
     from daq.exchange.measurement import measure
-    from daq.report.page import write_report
-    from daq.report.rerun.comparison import log_comparison
-    from daq.report.signal_spectra import signal_spectra
     from estimator.diagnosis.comparison import compare
     from estimator.diagnosis.verdict import diagnose
 
@@ -195,15 +198,32 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     output.say(parameters_table(found.parameters, known_values(truth)), *comparison_text(after))
     steps.append(step(better, after))
     output.say(Rule("the error falls"), ladder_table(steps))
-    report = out / "report.html"
     facts = {"rig": rig.model.name} | data.facts
-    write_report(
-        report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnoses=[diagnosis], ladder=steps,
-        rig_text=better.text, signal=signal_spectra(rig.model, data.y, data.rate_hz, diagnosis),
-    )  # fmt: skip
-    view = out / "comparison.rrd"
-    log_comparison(str(view), after, before, [diagnosis], steps, "Rotorscope demo")
-    return steps, [improved, report, view]
+    shown = {"comparison": after, "before": before, "diagnoses": [diagnosis], "ladder": steps}
+    return steps, [improved, *_pages(output, out, facts, shown, better.text, rig, data)]
+
+
+def _pages(
+    output: Output, out: Path, facts: Mapping[str, str], shown: Mapping[str, Any], rig_text: str, rig: Rig,
+    data: Measurement,
+) -> list[Path]:  # fmt: skip
+    """The report and the recording for Rerun, as far as their libraries are there."""
+    files = []
+    if installed("matplotlib", "jinja2"):
+        from daq.report.page import write_report
+        from daq.report.signal_spectra import signal_spectra
+
+        files.append(out / "report.html")
+        signal = signal_spectra(rig.model, data.y, data.rate_hz, shown["diagnoses"][0])
+        write_report(files[-1], "Rotorscope demo", facts=facts, rig_text=rig_text, signal=signal, **shown)
+    else:
+        output.note(missing_library("matplotlib", "report", "no report.html"))
+    if installed("rerun"):
+        from daq.report.rerun.comparison import log_comparison
+
+        files.append(out / "comparison.rrd")
+        log_comparison(str(files[-1]), title="Rotorscope demo", **shown)
+    return files
 
 
 def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> Comparison:

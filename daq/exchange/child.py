@@ -34,8 +34,10 @@ MASTER_KINDS = ("nothing", "time", "an angle", "a distance", "an index")
 
 
 def _mf4(path: Path, names: Sequence[str]) -> Found:
-    from asammdf import MDF
-
+    try:
+        from asammdf import MDF
+    except ImportError as error:
+        raise Told("an MDF file needs asammdf: pip install 'rotorscope[formats]'; or export it to .csv") from error
     with MDF(path) as file:
         return of_mf4(file, names)
 
@@ -157,7 +159,7 @@ def _hdf5(path: Path, names: Sequence[str], remedy: str = "export it to .csv or 
     try:
         import h5py
     except ImportError as error:
-        raise Told(f"an HDF5 file, which needs h5py: pip install rotorscope[files]; or {remedy}") from error
+        raise Told(f"an HDF5 file, which needs h5py: pip install 'rotorscope[formats]'; or {remedy}") from error
     leaves: dict[str, Any] = {}
 
     def take(name: str, item: Any) -> None:
@@ -178,7 +180,7 @@ def _tdms(path: Path, names: Sequence[str]) -> Found:
     try:
         from nptdms import TdmsFile
     except ImportError as error:
-        raise Told("a TDMS file needs nptdms: pip install rotorscope[files]; or export it to .csv") from error
+        raise Told("a TDMS file needs nptdms: pip install 'rotorscope[formats]'; or export it to .csv") from error
     with TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         steps = [
@@ -220,7 +222,7 @@ def _parquet(path: Path, names: Sequence[str]) -> Found:
     try:  # its own pool and threads take more addresses than a small file is granted
         from pyarrow import parquet
     except ImportError as error:
-        raise Told("a Parquet file needs pyarrow: pip install rotorscope[files]; or export it to .csv") from error
+        raise Told("a Parquet file needs pyarrow: pip install 'rotorscope[formats]'; or export it to .csv") from error
     file = parquet.ParquetFile(path)
     schema = file.schema_arrow
     wanted = [n for n in schema.names if n in names or time_unit(n) is not None]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.base.console.extras import required
 from daq.base.contract.errors import LogError
 
 from .columns import Column, Columns, date_ns, time_unit
@@ -24,8 +25,7 @@ UNIT_OF_FORCE = {1.0: "N", 1e3: "mN", 1e-3: "kN", 1 / 4.4482216152605: "lbf", 1 
 
 
 def read_uff(path: Path, names: Sequence[str]) -> Columns:
-    import pyuff
-
+    pyuff = required("pyuff", "formats", str(path))
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     units = [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 164]

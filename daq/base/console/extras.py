@@ -1,17 +1,20 @@
-"""Libraries of the extras: one that is missing is said in one line, with what to type."""
+"""Libraries that may be missing: each is said in one line, with what to type; everything else works without it."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 
 from daq.base.contract.errors import ConfigError
 
+PACKAGE_OF_MODULE = {"rerun": "rerun-sdk>=0.41,<0.42"}  # of the core, that a headless logger may leave out
+
 
 def required(module: str, extra: str, what: str) -> ModuleType:
-    """A module of an extra.
+    """A module that may be missing.
 
-    extra : of the package, such as "formats". what : that needs it, for the user.
+    extra : of the package that has it, such as "formats". what : that needs it, for the user.
     Raises ConfigError if the library is not installed.
     """
     try:
@@ -19,9 +22,23 @@ def required(module: str, extra: str, what: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] != module.split(".")[0]:
             raise
-        raise ConfigError(missing_text(module, extra, what)) from error
+        raise ConfigError(missing_library(module, extra, what)) from error
 
 
-def missing_text(module: str, extra: str, what: str) -> str:
-    """That a library of an extra is missing, and what to type."""
-    return f"{what}: needs {module.split('.')[0]}, which is not installed: pip install 'rotorscope[{extra}]'"
+def check_installed(modules: tuple[str, ...], extra: str, what: str) -> None:
+    """Before the work is done. Raises ConfigError if one of the modules is not installed."""
+    for module in modules:
+        if not installed(module):
+            raise ConfigError(missing_library(module, extra, what))
+
+
+def installed(*modules: str) -> bool:
+    """Whether all of the modules are there; they are not loaded."""
+    return all(find_spec(module) is not None for module in modules)
+
+
+def missing_library(module: str, extra: str, what: str) -> str:
+    """That a library is missing, and what to type."""
+    name = module.split(".")[0]
+    package = PACKAGE_OF_MODULE.get(name, f"rotorscope[{extra}]")
+    return f"{what}: needs {name}, which is not installed: pip install '{package}'"

@@ -1,4 +1,4 @@
-"""add, remove, effects, check, schema: the rig file and what may stand in it."""
+"""init, add, remove, effects, check, schema: the rig file and what may stand in it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,25 @@ Nodes = Annotated[
     list[str] | None,
     typer.Option("--at", metavar="NODE", help="bearing1, bearing2 or a place such as bearing1.x; may be repeated."),
 ]
+
+
+def init(
+    out: Annotated[Path, typer.Option("--out", metavar="RIG", help="The rig file to write; nothing is written over.")],
+    source: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Take the channels from a data file, a log (.mcap) or a .dbc."),
+    ] = None,
+    example: Annotated[
+        str | None, typer.Option("--example", metavar="NAME", help="Copy a rig file that comes with rotorscope.")
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """A first rig file, with comments: from a data file, a DBC, an example, or by a few questions."""
+    from daq.commands.start.init import init as body
+
+    body(Output(json, quiet, verbose), source, example, out)
 
 
 def add(
@@ -84,5 +103,5 @@ def schema(
 
 
 def register(app: typer.Typer) -> None:
-    for command in (add, remove, effects, check, schema):
+    for command in (init, add, remove, effects, check, schema):
         app.command(rich_help_panel="Model")(command)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.base.console.extras import required
 from daq.base.console.output import Output, spare
 from daq.base.console.tables import gap_lines
 from daq.base.console.unfinished import half, led_to
@@ -236,8 +237,8 @@ def _riff(name: bytes, content: bytes) -> bytes:
 
 
 def _mf4(table: Table, path: Path) -> None:
-    from asammdf import MDF, Signal
-
+    asammdf = required("asammdf", "formats", ".mf4")
+    MDF, Signal = asammdf.MDF, asammdf.Signal
     time = np.arange(len(table.values)) / table.rate_hz
     with MDF(version="4.10") as file:
         signals = [

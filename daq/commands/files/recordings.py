@@ -49,8 +49,8 @@ def write_mcap(table: Table, path: Path) -> None:
 
 def write_rrd(table: Table, path: Path) -> None:
     """A scalar for each channel and sample on the time line "time", and a panel for each channel."""
-    rr = required("rerun", "monitor", ".rrd")
-    rrb = required("rerun.blueprint", "monitor", ".rrd")
+    rr = required("rerun", "", ".rrd")
+    rrb = required("rerun.blueprint", "", ".rrd")
     recording = rr.RecordingStream("rotorscope_export")
     recording.save(str(path))
     names = [f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)]

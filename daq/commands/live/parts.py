@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.base.console.extras import check_installed
 from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines, gap_reasons, parameters_table
 from daq.base.contract.errors import CheckFailed
@@ -55,6 +56,7 @@ def make_sinks(
         of = Recorded(wall_offset_ns) if recorded else None
         sinks.append(LogWriter(out, live=live, wanted=wanted or (lambda: True), recorded=of))
     if rerun is not None:
+        check_installed(("rerun",), "", "--rerun")
         from daq.report.rerun.sink import RerunSink
 
         sinks.append(RerunSink(rerun, live=live, wall_offset_ns=wall_offset_ns))
@@ -66,6 +68,7 @@ def make_sinks(
 
 
 def serve_metrics(output: Output, port: int) -> MetricsServer:
+    check_installed(("prometheus_client",), "monitor", "--metrics")
     from daq.report.metrics import MetricsServer
 
     server = MetricsServer(port)

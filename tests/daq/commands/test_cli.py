@@ -24,8 +24,9 @@ ROOT = Path(__file__).parents[3]
 PAPER = ROOT / "configs" / "tiwari_vyas_1997.toml"
 SCHEMAS = ROOT / "tests" / "data" / "schemas"
 COMMANDS = [
-    "demo", "run", "simulate", "replay", "severity", "fit", "compare", "diagnose", "improve", "theory", "reproduce",
-    "add", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info", "ports",
+    "demo", "init", "run", "simulate", "replay", "severity", "fit", "compare", "diagnose", "improve", "theory",
+    "reproduce", "add", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info",
+    "ports",
 ]  # fmt: skip
 
 

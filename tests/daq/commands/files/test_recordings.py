@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from daq.base.console.extras import missing_text, required
+from daq.base.console.extras import missing_library, required
 from daq.base.contract.errors import ConfigError
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
@@ -106,6 +106,6 @@ def test_a_library_that_is_there_but_broken_is_not_called_missing() -> None:
     with pytest.raises(ConfigError, match=r"rotorscope\[formats\]"):
         required("no_such_library", "formats", ".abc")
     assert (
-        missing_text("a.b", "report", "--html")
+        missing_library("a.b", "report", "--html")
         == "--html: needs a, which is not installed: pip install 'rotorscope[report]'"
     )

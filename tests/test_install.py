@@ -1,0 +1,83 @@
+"""What an installation holds and needs: extras, the headless list, files in the wheel, names of packages."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from daq.commands.check import overwritten
+from daq.commands.cli.app import main
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+RIG = str(ROOT / "configs" / "one_bearing.toml")
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[<>=\[ ]", text)[0].lower() for text in requirements}
+
+
+def test_the_headless_list_is_the_core_without_the_viewer() -> None:
+    lines = (ROOT / "docs" / "headless.txt").read_text("utf-8").splitlines()
+    core = PROJECT["project"]["dependencies"]
+    assert {line for line in lines if line and not line.startswith("#")} == {d for d in core if "rerun" not in d}
+
+
+def test_the_core_keeps_its_packages_and_all_has_every_extra() -> None:
+    fixed = {"python-can", "pyserial", "numpy", "scipy", "mcap", "rerun-sdk"}
+    extras = PROJECT["project"]["optional-dependencies"]
+    assert fixed <= names(PROJECT["project"]["dependencies"])
+    assert extras["all"] == ["rotorscope[formats,report,monitor,batch]"]
+    assert "rotorscope[all]" in extras["dev"]
+
+
+def test_the_wheel_names_files_that_are_there() -> None:
+    for patterns in PROJECT["tool"]["setuptools"]["data-files"].values():
+        for pattern in patterns:
+            assert list(ROOT.glob(pattern)), pattern
+    for name in PROJECT["project"]["license-files"]:
+        assert (ROOT / name).is_file()
+
+
+@pytest.mark.parametrize(
+    ("modules", "command", "words"),
+    [
+        (
+            ("matplotlib", "matplotlib.figure"),
+            ["severity", "x.mcap", "--rig", RIG, "--html", "x.html"],
+            "rotorscope[report]",
+        ),
+        (("jinja2",), ["compare", "x.mcap", "--rig", RIG, "--html", "x.html"], "rotorscope[report]"),
+        (("matplotlib",), ["reproduce", "out"], "rotorscope[report]"),
+        (("rerun",), ["diagnose", "x.mcap", "--rig", RIG, "--rerun", "x.rrd"], "rerun-sdk>=0.41,<0.42"),
+        (("rerun",), ["run", RIG, "--link", "virtual:", "--rerun", "x.rrd"], "rerun-sdk>=0.41,<0.42"),
+        (("prometheus_client",), ["run", RIG, "--link", "virtual:", "--metrics", "0"], "rotorscope[monitor]"),
+    ],
+)
+def test_a_missing_library_is_one_line_with_what_to_type(
+    modules: tuple[str, ...], command: list[str], words: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    for module in modules:
+        monkeypatch.setitem(sys.modules, module, None)
+    assert main(command) == 2
+    err = capsys.readouterr().err
+    assert f"pip install '{words}'" in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_package_of_our_names_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert overwritten() == []
+    monkeypatch.setattr(
+        metadata, "packages_distributions", lambda: {"daq": ["rotorscope", "pydaq"], "numpy": ["numpy"]}
+    )
+    assert overwritten() == [
+        'the package "daq" is also installed by pydaq: uninstall that, and install rotorscope again'
+    ]
