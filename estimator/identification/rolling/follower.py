@@ -12,8 +12,8 @@ from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments
 
 from .anchor import Anchor, anchor_at
+from .cell_power import renewed_noise
 from .memory import Memory, Piece
-from .noise import renewed_noise
 from .piece import piece_sums
 
 FAST_TIME_CONSTANT_REL = 0.25  # time constant of the fast memory over that of the slow one

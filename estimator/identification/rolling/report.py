@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator.identification.batch.unknown_mass import NO_MASS_REASON, places_without_mass, with_mass_uncertainty
 from estimator.model.rig import LINEAR_UNITS
-from estimator.results import Parameter, with_unidentifiable_at
+from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
+from .cell_power import CellPower, excess_power
 from .follower import Follower
 from .start import FirstFit
+
+MIN_COLOUR_REL = 0.05  # of the power of the residual force in a cell of frequency, from which it matters to a number
+MAX_COLOUR_RATIO = 2.0  # of that power to the mean of all cells or its inverse, up to which they are shown
 
 
 def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Parameter]:
@@ -30,7 +36,24 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
         out[f"{place}.S"] = _judged_parameter(S[i] * level[i], S[i] * level_sd[i], LINEAR_UNITS["S"])
     out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
     out = with_mass_uncertainty(model, {**out, **first.held}, first.masses)
-    return {**with_unidentifiable_at(places_without_mass(model), NO_MASS_REASON, out, "N"), **first.masses}
+    out = {**with_unidentifiable_at(places_without_mass(model), NO_MASS_REASON, out, "N"), **first.masses}
+    cells = CellPower.of(anchor, follower.slow, follower.delta)
+    for place, (excess, hz) in zip(anchor.data.places, excess_power(anchor, cells), strict=True):
+        out = _with_colour(out, place, excess, hz)
+    return out
+
+
+def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: float) -> dict[str, Parameter]:
+    """The parameters where the spectrum of the residual force at a place is not that of the model: with the reason, or
+    without a number. excess : its power near `hz` over that of the model, less 1."""
+    if abs(excess) < MIN_COLOUR_REL:
+        return found
+    reason = f"the residual force is not white, {100 * excess:+.0f} % near {hz:.0f} Hz: rotorscope diagnose says why"
+    if not 1.0 / MAX_COLOUR_RATIO < 1.0 + excess < MAX_COLOUR_RATIO:
+        given = {name: p for name, p in found.items() if p.sd == 0.0}
+        return with_unidentifiable_at([place], reason, found) | given
+    fitted = {name: p for name, p in found.items() if p.identifiable and p.sd and is_of_place(name, place)}
+    return found | {name: replace(p, reason=reason) for name, p in fitted.items()}
 
 
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:

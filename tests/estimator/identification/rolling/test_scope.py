@@ -139,3 +139,19 @@ def test_beside_a_lopsided_law_no_law_has_a_number() -> None:
     assert shown["bearing1.x.kL"].reason == shown["bearing1.x.quadratic.kq"].reason
     assert (shown["bearing1.x.kL"].value, shown["bearing1.x.quadratic.kq"].value) == (2.0, None)
     assert shown["bearing1.y.cubic.kNL"] == found["bearing1.y.cubic.kNL"]
+
+
+@pytest.mark.parametrize(("name", "shown"), [("pedestal", True), ("coloured_excitation", False)])
+def test_a_spectrum_that_the_model_does_not_have_is_said(rig: Model, name: str, shown: bool) -> None:
+    """A pedestal moves kL by 80 standard deviations, a coloured force kL, c and S by 7, 18 and 40."""
+    found = rolled(rig, record(rig, name, 0.06, seconds=12.0)).parameters
+    for place in rig.places:
+        for key in ("kL", "c", "S"):
+            p = found[f"{place}.{key}"]
+            assert p.identifiable == shown
+            assert "the residual force is not white" in p.reason
+
+
+def test_a_white_residual_force_needs_no_word(rig: Model) -> None:
+    found = rolled(rig, record(rig, "sensor_gain", 0.0, seconds=7.0)).parameters
+    assert all(not found[f"{place}.{key}"].reason for place in rig.places for key in ("kL", "c", "S"))
