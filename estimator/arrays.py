@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import mmap
 from contextlib import suppress
 from typing import Any
 
@@ -25,8 +26,14 @@ def real_samples(y: Any) -> Array:
 def return_freed_memory(y: Array) -> None:
     """Return memory that earlier steps have freed to the system (glibc only), where a record is long.
 
-    What is left of a heap between arrays of different sizes is otherwise half as much again as what is in use.
+    What is left of a heap between arrays of different sizes is otherwise half as much again as what is in use. Of a
+    record that lies in a mapped file, what was read is let go too: it is read anew where it is used.
     """
     if y.nbytes > LONG_RECORD_BYTES:
         with suppress(AttributeError, OSError):
             ctypes.CDLL(None).malloc_trim(0)
+    under: Any = y
+    while isinstance(under, np.ndarray):
+        under = under.base
+    if isinstance(under, mmap.mmap):
+        under.madvise(mmap.MADV_DONTNEED)

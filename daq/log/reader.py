@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.base.console.memory import roomy
 from daq.base.contract.errors import LogError
 from daq.base.contract.part import WHOLE_RECORD, Part, beyond
 from daq.base.contract.scaling import Scaling, now_at
@@ -198,7 +199,7 @@ class Recording:
         self, columns: list[int], keep_clipped: bool, dtype: type[np.float64] | type[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         self._affordable(np.dtype(dtype).itemsize)
-        out: NDArray[Any] = np.empty((self.stop - self.first, len(columns)), dtype)
+        out = roomy((self.stop - self.first, len(columns)), dtype)
         at, hits, scaling, of = 0, np.zeros(len(columns), np.int64), None, None
         for block, info in self._blocks():
             if info is not of:

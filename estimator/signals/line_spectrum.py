@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array, Complexes
+from estimator.arrays import Array, Complexes, return_freed_memory
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.parallel import map_threads
 
@@ -139,6 +139,8 @@ def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
     for row, k in zip(windowed, columns, strict=True):
         np.multiply(y[:keep, k], window, out=row)
         row[~np.isfinite(row)] = 0.0
+    del window
+    return_freed_memory(y)
     kinds = tuple(model.channels[k].kind for k in columns)
     return _spectrum(windowed, kinds, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
 
@@ -200,11 +202,15 @@ def _spectrum(
 
     n = windowed.shape[1]
     f: Array = np.asarray(np.fft.rfftfreq(n, 1 / rate_hz), dtype=np.float64)
-    Y = np.stack(
-        map_threads(rfft, windowed)
-    )  # scipy's own workers would stay: map_processes then has no second process
+    Y, noise = np.empty((len(windowed), f.size), np.complex64), np.empty((len(windowed), f.size))
+
+    def transform(i: int) -> None:
+        Y[i] = rfft(windowed[i])
+
+    map_threads(transform, range(len(Y)))  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
-    noise = np.stack([local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS) for z in Y])
+    for own, z in zip(noise, Y, strict=True):
+        own[:] = local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS)
     return LineSpectrum(
         f_hz=f,
         Y=Y,

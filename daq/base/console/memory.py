@@ -4,13 +4,20 @@ becomes of arrays that are let go."""
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 MAX_FREE_SHARE = 0.5  # of the memory that is free
 LEAST_BYTES, FILE_SIZE_FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
+FILE_FROM_BYTES = 1 << 27  # 150 s of four channels at 25.6 kHz: of shorter records a file costs more than it saves
 UNKNOWN_BYTES = 4 << 30  # free memory where the system does not say
 # of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 32 MiB:
 # larger ones are whole channels of a long record, and would leave holes
@@ -42,6 +49,18 @@ def bounded_memory(file_bytes: int) -> Iterator[int]:
         yield bound
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def roomy(shape: tuple[int, ...], dtype: type[np.floating[Any]]) -> NDArray[Any]:
+    """A new array whose values are not set. A large one lies in a file without a name, so that a process that has read
+    it need not keep it (estimator.arrays.return_freed_memory); in memory where the disk has no room.
+    """
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    if size > FILE_FROM_BYTES:
+        with suppress(AttributeError, OSError), tempfile.TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return np.ndarray(shape, dtype, mmap.mmap(file.fileno(), size))
+    return np.empty(shape, dtype)
 
 
 def keep_freed() -> None:

@@ -37,6 +37,7 @@ NEIGHBOUR_BINS = np.arange(4, 16)  # on either side of a line, for its noise
 RATIO_TOLERANCE_REL = 1e-3  # of the ratio of two fundamentals from a whole number
 MIN_COMB_LINES = 5  # lines at multiples of one frequency that are no chance
 MIN_COMB_SPACING_BINS = 20.0  # between these lines
+GRID_PIECE_SIZE = 1 << 16  # frequencies that are looked at together: what is made for them stays small
 MISSING_POWER_REL = 0.25  # of the power of its neighbours, below which a harmonic is missing
 MAX_MISSING_SHARE = 0.2  # of the harmonics of a train
 
@@ -48,7 +49,9 @@ def find_impact_train(
 
     lines : Hz of lines that stand out. rotation : Hz of the shaft. known : Hz of lines that the model has.
     """
-    Zs: Array = np.asarray(np.abs(s.Y) ** 2 / s.noise, dtype=np.float64)
+    Zs: Array = np.empty(s.Y.shape)
+    for own, Y, noise in zip(Zs, s.Y, s.noise, strict=True):
+        own[:] = np.abs(Y) ** 2 / noise
     for hz in known:
         Zs[:, np.abs(s.f_hz - hz) <= s.width(hz)] = 0.0
     best: Finding | None = None
@@ -134,9 +137,11 @@ def _comb_fundamentals(s: LineSpectrum, Zs: Array, rotation: float, high: float)
     bounded = np.minimum(Zs, MAX_LINE_POWER_RATIO, dtype=np.float32)
     for k in range(1, SEARCHED_HARMONICS + 1):
         inside = int(np.searchsorted(grid, high / k))
-        at = np.rint(k * grid[:inside] * s.seconds).astype(np.intp)
-        for total, Z in zip(totals, bounded, strict=True):
-            total[:inside] += Z[at]
+        for first in range(0, inside, GRID_PIECE_SIZE):
+            piece = slice(first, min(first + GRID_PIECE_SIZE, inside))
+            at = np.rint(k * grid[piece] * s.seconds).astype(np.intp)
+            for total, Z in zip(totals, bounded, strict=True):
+                total[piece] += Z[at]
         count[:inside] += 1
     best, found = 0.0, 0.0
     for total in totals if grid.size else ():

@@ -123,7 +123,9 @@ def searched_spectrum(model: Model, point: WorkingPoint, y: Array, rate_hz: floa
 
 def _outstanding_lines(s: LineSpectrum, known: Sequence[float], threshold: float) -> list[float]:
     """Frequencies (Hz) of lines that exceed the threshold in any channel, strongest first. known : Hz to leave out."""
-    best = np.max([(Y.real**2 + Y.imag**2) / noise for Y, noise in zip(s.Y, s.noise, strict=True)], axis=0)
+    best = np.zeros(s.f_hz.size)
+    for Y, noise in zip(s.Y, s.noise, strict=True):
+        np.maximum(best, (Y.real**2 + Y.imag**2) / noise, out=best)
     usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * s.rate_hz)
     for hz in known:
         usable &= np.abs(s.f_hz - hz) > s.width(hz)

@@ -294,20 +294,23 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
         hat_knots(data.displacement(i), float(data.rms[0, i]), X_KNOT_STEP_RMS),
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
-    room = np.empty(0, np.float32)
+    most = sum(z.size for z in ends) + LEVEL_REGRESSORS + OTHER_DIRECTION_REGRESSORS + 6 + 2 * len(orders)
+    rows = most * -(-data.blocks // TIME_FOLDS)
+    room = np.empty(0, np.float32)  # of all folds: memory that is new takes longer than what is computed in it
     for f in range(TIME_FOLDS):
         part, first = fold_record(data, f), fold_slice(point, f).start
-        found = []
-        spectra: list[Float32Series] = []
+        found, count = [], 0
+        X = room
         for g in regressor_groups(part, i, orders, ends, times):
-            spectra += [point.whitening.spectrum(i, z, first=first) for z in g.series]
+            for z in g.series:
+                spectrum = point.whitening.spectrum(i, z, first=first)
+                if not count:
+                    room = room if room.size else np.empty(rows * spectrum.shape[1], np.float32)
+                    X = room[: most * spectrum.size].reshape(most, *spectrum.shape)
+                X[count] = spectrum
+                count += 1
             found.append(RegressorGroup(g.name, [], g.tangents, g.knots))
-        if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
-            room = np.empty(len(spectra) * -(-data.blocks // TIME_FOLDS) * spectra[0].shape[1], np.float32)
-        X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
-        np.stack(spectra, out=X)
-        del spectra
-        made.append(fold_products(point, i, base, f, X))
+        made.append(fold_products(point, i, base, f, X[:count]))
         by_fold.append(found)
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
