@@ -106,13 +106,15 @@ class Anchor:
         (bins,) of each bin.
         """
         m, places = len(tangents), range(len(self.data.places))
-        moved = tangent_response(tangents - self.tangents[:m], self.s)
-        factor = self.whitening.measured
-        if factor is not None:
-            moved = tangent_times(moved, factor[self.nodes])
+        moved, factor = tangents - self.tangents[:m], self.whitening.measured
+        responses = self.responses[:m].copy()
+        if factor is None:
+            some = moved.any(axis=-1)
+            responses[some] += tangent_response(moved[some], self.s)
+        else:
+            responses += tangent_times(tangent_response(moved, self.s), factor[self.nodes])
         A = self.A + np.moveaxis(tangent_response(mean_tangent - self.mean_tangent, self.s), 2, 0)
         weight = np.add.reduceat(share, self.first)
-        responses = self.responses[:m] + moved
         if not self.data.residual_is_noise:
             axis = self.s if self.nodes.size == self.bins else None
             return Jacobian(A, axis, self.second_order, weight), responses

@@ -171,11 +171,6 @@ def _tried_states() -> tuple[Array, Array, Array]:
     return z, np.tile(t, 5), np.tile(phase, 5)
 
 
-def has_kink(effect: Effect, p: Array, scale: Array) -> bool:
-    """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
-    return _shrinking(effect, p, scale, 4096) < 9.0  # it falls by 16 if the law is smooth, by 4 at a kink
-
-
 def has_jump(effect: Effect, p: Array, scale: Array) -> bool:
     """Whether the law has a jump along orbits of up to four standard deviations."""
     return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump

@@ -121,12 +121,14 @@ class MotionRecord:
     @property
     def fold_rows(self) -> NDArray[np.int64]:
         """(folds,) rows of each time fold; its share of the rows if they are not whole blocks any more."""
-        last = np.cumsum(self.fold_blocks) * self.x.shape[1] // self.blocks
-        return np.asarray(np.diff(last, prepend=0), dtype=np.int64)
+        rows = (np.cumsum(self.fold_blocks) * self.x.shape[1] // self.blocks).astype(np.int64)
+        rows[1:] -= rows[:-1].copy()
+        return np.asarray(rows)
 
     def over_folds(self, means: Array) -> Array:
         """Mean over the record from the means over its time folds (folds, ...)."""
-        return np.asarray(np.tensordot(self.fold_rows / self.fold_rows.sum(), means, 1))
+        rows = self.fold_rows
+        return np.asarray(np.tensordot(rows / rows.sum(), means, 1))
 
     @property
     def stretches(self) -> list[slice]:

@@ -98,17 +98,6 @@ def modes_at(
     return np.asarray(modes[modes.imag > 0.0], np.complex128)
 
 
-def slowest_modes(
-    A: Complexes, mass: Array, f_hz: Array, size: Array | None = None, disc: Disc | None = None,
-    places: tuple[str, ...] = (),
-) -> Complexes:  # fmt: skip
-    """(modes,) rad/s in the band, of A (f, places, places) where |det A| is least. size : (f,) |det A|, if known."""
-    near = int(np.argmin(np.abs(np.linalg.det(A)) if size is None else size))
-    modes = modes_at(A[near], mass, 2j * np.pi * f_hz[near], disc, places)
-    inside = (modes.imag > 2 * np.pi * f_hz[0]) & (modes.imag < 2 * np.pi * f_hz[-1])
-    return np.asarray(modes[inside], np.complex128)
-
-
 def continued_tangent(
     s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = (),
     background: Background | None = None,

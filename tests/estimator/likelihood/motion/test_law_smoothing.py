@@ -14,7 +14,7 @@ from estimator.likelihood.motion.law_smoothing import (
     MARGIN_ROWS,
     LawStates,
     decimated,
-    has_kink,
+    has_jump,
     law_force,
     reads_states,
 )
@@ -51,16 +51,15 @@ def test_a_step_gets_the_density_of_its_argument_as_its_mean_tangent() -> None:
     assert np.mean((out - erf(s.v / sd / np.sqrt(2))) ** 2) < 0.01
 
 
-def test_what_a_law_reads_and_whether_it_is_smooth() -> None:
+def test_what_a_law_reads_and_whether_it_jumps() -> None:
     scale = np.array([1e-7, 1e-3, 1e-7, 1e-3])
     one = np.ones(1)
     assert list(reads_states(CATALOGUE["cubic"], one, scale)) == [True, False, False, False]
     assert list(reads_states(CATALOGUE["displacement_damping"], one, scale)) == [True, True, False, False]
     assert list(reads_states(CATALOGUE["cross_coupling"], one, scale)) == [False, False, True, False]
-    assert not has_kink(CATALOGUE["cubic"], one, scale)
-    assert not has_kink(CATALOGUE["quadratic_damping"], one, scale)
-    assert has_kink(CATALOGUE["coulomb"], one, scale)
-    assert has_kink(CATALOGUE["clearance"], np.array([1.0, 1.5e-7]), scale)
+    assert not has_jump(CATALOGUE["cubic"], one, scale)
+    assert not has_jump(CATALOGUE["clearance"], np.array([1.0, 1.5e-7]), scale)
+    assert has_jump(CATALOGUE["coulomb"], one, scale)
 
 
 def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
