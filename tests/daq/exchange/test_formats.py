@@ -321,5 +321,5 @@ def test_a_reader_that_is_not_installed_is_named(tmp_path: Path, ending: str, mo
         (tmp_path / f"{name}.py").write_text("raise ImportError")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).parents[3]}")
     (tmp_path / f"a.{ending}").write_bytes(b"anything")
-    with pytest.raises(LogError, match=r"needs \w+: pip install rotorscope\[formats\]; or export it to .csv"):
+    with pytest.raises(LogError, match=r"needs \w+: pip install 'rotorscope\[formats\]'; or export it to .csv"):
         load(tmp_path / f"a.{ending}", rig(), None, print)
