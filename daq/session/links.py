@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.base.contract.errors import ConfigError
 from daq.rig.in_si import InSI
 from daq.rig.rig import Rig
-from drivers.contract import CaptureConfig, Driver, LinkError, ReplayConfig, VirtualConfig
+from drivers.contract import CaptureConfig, Driver, LinkError, ReplayConfig, SerialConfig, VirtualConfig
 from drivers.links import make_driver, parse_link
 from drivers.protocol import Expected
 
@@ -43,7 +43,8 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
     if isinstance(config, CaptureConfig) and config.rate_hz is None and rig.acquisition is not None:
         config = replace(config, rate_hz=rig.acquisition.rate_hz)
     signals = {c: rig.link.signals[c] for c in rig.units if c in rig.link.signals} or None
-    text = _dbc(Path(dbc) if dbc else rig.dbc) if signals else None
+    named = isinstance(config, SerialConfig) and config.device and not dbc and rig.dbc is None  # it brings its own
+    text = _dbc(Path(dbc) if dbc else rig.dbc) if signals and not named else None
     if signals is None and dbc:
         raise ConfigError(f'{name}: a DBC needs [link.signals] in the rig file: channel = "MESSAGE.SIGNAL" for each')
     if signals is not None and (left := [c for c in rig.units if c not in signals]):

@@ -2,7 +2,7 @@
 
 from .errors import BusError, LinkError, LinkOpenError
 from .link import Event, Link
-from .link_config import CaptureConfig, ReplayConfig, VirtualConfig
+from .link_config import CaptureConfig, ReplayConfig, SerialConfig, VirtualConfig
 from .patient import Patient
 from .reading import Block, Driver, Gap, Info, LinkStats, Notice, Reading, Signal
 
@@ -22,6 +22,7 @@ __all__ = [
     "Patient",
     "Reading",
     "ReplayConfig",
+    "SerialConfig",
     "Signal",
     "VirtualConfig",
 ]

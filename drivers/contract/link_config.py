@@ -50,8 +50,11 @@ class SlcanConfig:
 
 @dataclass(frozen=True, slots=True)
 class SerialConfig:
+    """device : name of a device of others; "" of one that speaks protocol v1."""
+
     port: str
     baud: int = 921_600
+    device: str = ""
 
     @property
     def target(self) -> str:

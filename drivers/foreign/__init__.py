@@ -2,5 +2,6 @@
 
 from .capture_files import CAPTURE_SUFFIXES
 from .dbc import load_dbc
+from .mapped import MappedDecoder
 
-__all__ = ["CAPTURE_SUFFIXES", "load_dbc"]
+__all__ = ["CAPTURE_SUFFIXES", "MappedDecoder", "load_dbc"]

@@ -34,7 +34,7 @@ LINK_FORMS = {
     "virtual": "virtual:[?speed=1]",
     "can": "can:INTERFACE:CHANNEL?bitrate=500000[&fd=1][&data_bitrate=2000000][&id=0x300][&option.NAME=VALUE]",
     "slcan": "slcan:PORT_OR_URL?bitrate=1000000[&data_bitrate=5000000][&baud=..][&id=0x300][&setup=1]",
-    "serial": "serial:PORT_OR_URL?baud=921600",
+    "serial": "serial:PORT_OR_URL?baud=921600[&device=witmotion|mip|m_a352|lines]",
     "capture": "capture:FILE[?rate=100][&bus=0]",
     "replay": "replay:LOG.mcap[?speed=1]",
 }
@@ -98,7 +98,8 @@ def make_driver(
     """
     from drivers.contract.link import Link
 
-    if signals is not None and dbc is None:
+    own = isinstance(config, SerialConfig) and config.device  # brings its DBC
+    if signals is not None and dbc is None and not own:
         raise LinkError("a signal map needs the DBC file that describes its messages: set link.dbc in the rig file")
     stats = LinkStats()
     if isinstance(config, VirtualConfig):
@@ -122,6 +123,9 @@ def make_driver(
         return Link("slcan", config.target, slcan_source(config), SlcanDecoder(inner))
     if isinstance(config, SerialConfig):
         from drivers.serial.byte_port import PortSource
+
+        if config.device:
+            return _device(config, stats, dbc, signals, expected)
         from drivers.serial.serial_decoder import SerialDecoder
 
         return Link("serial", config.target, PortSource(config.target, config.port, config.baud),
@@ -131,6 +135,25 @@ def make_driver(
 
         return Capture(config, stats, dbc, signals, expected=expected)
     raise LinkError(f"replay:{config.path}: a replay is made from the log, by the log reader")
+
+
+def _device(
+    config: SerialConfig, stats: LinkStats, dbc: bytes | None, signals: Mapping[str, str] | None,
+    expected: Expected | None,
+) -> Driver:  # fmt: skip
+    """A device of others on a serial line, by its profile; a DBC takes the place of the profile's own."""
+    from drivers.contract.link import Link
+    from drivers.devices import PacketDecoder, profile_of
+    from drivers.foreign import MappedDecoder
+    from drivers.serial.byte_port import PortSource
+
+    profile = profile_of(config.device)
+    if not signals:
+        own = ", ".join(profile.signals)
+        raise LinkError(f"device={profile.name}: say in [link.signals] of the rig file what each channel is: {own}")
+    inner = MappedDecoder(stats, profile.dbc if dbc is None else dbc, signals, expected)
+    decoder = PacketDecoder(inner, profile.make(), config.baud)
+    return Link("serial", config.target, PortSource(config.target, config.port, config.baud), decoder)
 
 
 def _can_decoder(
@@ -274,7 +297,8 @@ def _slcan(rest: str, options: _Options) -> SlcanConfig:
 
 
 def _serial(rest: str, options: _Options) -> SerialConfig:
-    return SerialConfig(_port(rest, options), options.integer("baud", 921_600))
+    port, baud = _port(rest, options), options.integer("baud", 921_600)
+    return SerialConfig(port, baud, options.text("device") or "")
 
 
 def _capture(rest: str, options: _Options) -> CaptureConfig:

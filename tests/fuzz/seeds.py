@@ -395,6 +395,7 @@ _ASC = (
 )
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
+    "devices": lambda: [bytes.fromhex("5551000100020003c409ac"), b"0.1, 0.2\n0.3, 0.4\n0.5, 0.6\n"],
     "parts": lambda: [PART_HEAD + data for data in _mcap()],
     "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "lvm": _lvm,
     "npz": _npz, "wav": _wav,

@@ -37,6 +37,7 @@ from drivers.can.slcan_codec import MAX_LINE, SlcanCodec, encode_line
 from drivers.contract.errors import LinkError
 from drivers.contract.link_config import CaptureConfig
 from drivers.contract.reading import Block, Gap, LinkStats, Reading
+from drivers.devices import DEVICE_PROFILES, PacketDecoder
 from drivers.foreign.capture import Capture
 from drivers.foreign.capture_files import open_capture
 from drivers.foreign.mapped import MappedDecoder
@@ -130,6 +131,16 @@ def slcan(data: bytes, folder: Path) -> None:
     at = assert_axis(decoder.feed(start, 0), 0)
     at = assert_axis(decoder.feed(data[:cut], 20_000_000), at)
     assert_axis(decoder.feed(data[cut:], 40_000_000), at)
+
+
+def devices(data: bytes, folder: Path) -> None:
+    """Each device of others: any cut of its packets, through to the samples."""
+    cut = data[0] * len(data) // 256 if data else 0
+    for profile in DEVICE_PROFILES.values():
+        inner = MappedDecoder(LinkStats(), profile.dbc, {"b1x": profile.signals[0]}, rate_hz=100.0)
+        decoder, at = PacketDecoder(inner, profile.make(), 115_200), 0
+        for k, part in enumerate((data[:cut], data[cut:], data)):
+            at = assert_axis(decoder.feed(part, k * 20_000_000), at)
 
 
 def serial(data: bytes, folder: Path) -> None:
@@ -438,7 +449,7 @@ def _capture(suffix: str) -> Target:
 
 TARGETS: dict[str, Target] = {
     "cobs": cobs_codec, "slcan": slcan, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
-    "recover": recover_log,
+    "recover": recover_log, "devices": devices,
     "parts": parts, "lvm": _import(".lvm"),
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"),
     "npz-members": npz_members, "uff-sets": uff_sets, "wav": _import(".wav"),

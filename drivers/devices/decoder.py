@@ -1,0 +1,48 @@
+"""A device on a serial line: bytes to packets, packets to samples by its DBC."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.contract.reading import Reading
+from drivers.foreign import MappedDecoder
+
+from .packets import Framer
+
+BITS_OF_BYTE = 10  # on the line: start, eight, stop
+
+
+class PacketDecoder:
+    """Packets are stamped by when their last byte was on the line, as the baud rate has it."""
+
+    def __init__(self, inner: MappedDecoder, framer: Framer, baud: int) -> None:
+        self.stats = inner.stats
+        self.notices = inner.notices
+        self._inner, self._framer = inner, framer
+        self._byte_ns = BITS_OF_BYTE * 1e9 / baud
+
+    def cause(self, reason: str) -> None:
+        """Why samples may be missing before the next packet (see Continuity)."""
+        if reason == "reconnect":
+            self._framer.reset()
+        self._inner.cause(reason)
+
+    def nothing(self) -> str:
+        """Why no sample has come."""
+        return self._inner.nothing()
+
+    def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
+        """Readings of these bytes; t_host_ns is when the last was read."""
+        self.stats.bytes += len(chunk)
+        found = self._framer.feed(chunk)
+        damaged = int(found.holes.sum())
+        if damaged:
+            self.stats.crc_errors += damaged
+            self.stats.resyncs += int(np.count_nonzero(found.holes))
+            self.notices.add(t_host_ns, "warning", "crc", "packets with a wrong check sum, or cut: dropped")
+        if not len(found.frames) and not damaged:
+            return list(self.notices.take())
+        stamps = t_host_ns - np.rint(found.behind * self._byte_ns).astype(np.int64)
+        return self._inner.feed(replace(found.frames, t_ns=stamps), t_host_ns, holes=found.holes)
