@@ -14,7 +14,7 @@ from .packets import MAX_PAYLOAD, Packets
 LINE_ID = 1  # of the frames
 MAX_NUMBERS = MAX_PAYLOAD // 8
 MAX_LINE = 1024  # bytes; a longer one is no line of numbers
-SEPARATORS = bytes.maketrans(b",;\t\r", b"    ")
+BLANK_SEPARATORS = bytes.maketrans(b",;\t\r", b"    ")
 NUMBER_BYTES = np.isin(np.arange(256), np.frombuffer(b"0123456789+-.eE \n", np.uint8))
 
 
@@ -38,7 +38,7 @@ class TextNumbersFramer:
         self._cut |= len(rest) > MAX_LINE
         if not newline:
             return self._packets(np.zeros((0, 1)), np.zeros(0, np.int64), [])
-        text = whole.translate(SEPARATORS) + b"\n"
+        text = whole.translate(BLANK_SEPARATORS) + b"\n"
         data = np.frombuffer(text, np.uint8)
         stops = np.flatnonzero(data == 10)
         counts = _tokens(data, stops)

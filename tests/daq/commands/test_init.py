@@ -99,7 +99,7 @@ def test_no_place_is_taken_twice() -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        ([], 2, "give --from FILE (data, log or DBC) or --example NAME (canedge_imu"),
+        ([], 2, "give --from FILE (data, log or DBC) or --example NAME (can_accelerometers"),
         (["--example", "one_baering"], 2, 'did you mean "one_bearing"'),
         (["--example", "a", "--from", "b"], 2, "give one of the two"),
         (["--from", "none.csv"], 2, "there is no such file"),
