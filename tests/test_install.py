@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 import tomllib
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -73,11 +72,13 @@ def test_a_missing_library_is_one_line_with_what_to_type(
     assert not list(tmp_path.iterdir())
 
 
-def test_another_package_of_our_names_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_package_of_our_names_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert overwritten() == []
-    monkeypatch.setattr(
-        metadata, "packages_distributions", lambda: {"daq": ["rotorscope", "pydaq"], "numpy": ["numpy"]}
-    )
+    about = tmp_path / "pydaq-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pydaq\nVersion: 1.0\n")
+    (about / "RECORD").write_text("daq/__init__.py,,\nnumpy/__init__.py,,\npydaq-1.0.dist-info/METADATA,,\n")
+    monkeypatch.syspath_prepend(tmp_path)
     assert overwritten() == [
         'the package "daq" is also installed by pydaq: uninstall that, and install rotorscope again'
     ]

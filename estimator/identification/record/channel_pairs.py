@@ -13,7 +13,7 @@ from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION_UNITS
 
 from .channel_faults import ChannelRecord
-from .channel_summary import PIECE_ROWS, moments, segment_starts, segments, stretches
+from .channel_summary import PIECE_ROWS, segment_starts, segments, stretches
 from .findings import RecordFinding
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
@@ -252,9 +252,11 @@ def _levels_db(y: Array, size: int, largest: float) -> Array:
     """(LEVEL_PIECES,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
     out = np.full(LEVEL_PIECES, np.nan)
     for k in range(LEVEL_PIECES):
-        own = moments(y[k * size : (k + 1) * size])
-        if 2 * own.count > size:
-            out[k] = 20.0 * np.log10(max(own.sd / largest, 1e-15))
+        piece = y[k * size : (k + 1) * size]
+        there = np.isfinite(piece)
+        if 2 * np.count_nonzero(there) > size:
+            sd = float(np.std(piece if there.all() else piece[there], dtype=np.float64))
+            out[k] = 20.0 * np.log10(max(sd / largest, 1e-15))
     return out
 
 
