@@ -28,6 +28,7 @@ INSIDE = {
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60
+CHAIN_FILES = {"estimator": 6, "daq": 7, "drivers": 5}  # of imports inside a folder; between rooms the layers hold
 FOLDER_ENTRIES = 16  # twelve after the two engines are one
 ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identification", "diagnosis"}
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
@@ -142,6 +143,38 @@ def repeated() -> list[str]:
     return [f"{name}: {count}" for name, count in Counter(found).items() for _ in range(count - 1)]
 
 
+def neighbours(path: Path, tree: ast.Module) -> set[Path]:
+    """The files of its own folder that a file imports when it runs."""
+    package = ".".join(path.parent.relative_to(ROOT).parts)
+    typing = {n for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+              for n in ast.walk(node)}  # fmt: skip
+    names: list[str] = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or node in typing or node.level > 1:
+            continue
+        module = ".".join(filter(None, [package if node.level else "", node.module]))
+        if module == package:
+            names += [alias.name for alias in node.names]
+        elif module.startswith(f"{package}."):
+            names.append(module.removeprefix(f"{package}.").split(".")[0])
+    return {there for name in names if (there := path.with_name(f"{name}.py")) != path and there.is_file()}
+
+
+def chains(package: str) -> dict[str, int]:
+    """The longest chain of imports inside each folder, in files."""
+    beside = {path: neighbours(path, tree) for path, tree in sources(package).items() if path.name != "__init__.py"}
+
+    @cache
+    def length(path: Path) -> int:
+        return 1 + max((length(other) for other in beside[path]), default=0)
+
+    out: dict[str, int] = {}
+    for path in beside:
+        folder = str(path.parent.relative_to(ROOT))
+        out[folder] = max(out.get(folder, 0), length(path))
+    return out
+
+
 def product_modules(tree: ast.Module) -> dict[str, str]:
     """Modules of the product by the names that a test has them under."""
     return {
@@ -201,6 +234,11 @@ def test_no_folder_is_crowded(package: str) -> None:
         if (n := sum(entry.name != "__pycache__" for entry in f.iterdir())) > FOLDER_ENTRIES
     }
     assert not crowded
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_chain_of_imports_inside_a_folder_is_long(package: str) -> None:
+    assert {folder: n for folder, n in chains(package).items() if n > CHAIN_FILES[package]} == {}
 
 
 def test_the_estimator_has_seven_rooms_and_five_files() -> None:

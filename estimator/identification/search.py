@@ -8,8 +8,8 @@ from typing import Protocol
 
 from estimator.arrays import Array
 from estimator.likelihood.motion import harmonics
-from estimator.likelihood.path.whitening import Spectrum
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.whitening.whitening import Spectrum
 from estimator.model.rig import EffectUse, Model
 from estimator.parallel import map_threads
 

@@ -21,7 +21,6 @@ from scipy.special import chdtri
 from estimator.arrays import Array
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.likelihood.motion.located_law import LocatedLaw
-from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, log_likelihood
 from estimator.likelihood.path.subproblem import coupled_places
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
@@ -32,6 +31,7 @@ from estimator.likelihood.response.regressor_set import (
     regressors,
     with_second_order,
 )
+from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.model.effect import Effect
 from estimator.parallel import map_processes
 

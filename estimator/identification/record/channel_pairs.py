@@ -13,9 +13,9 @@ from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION_UNITS
 
 from .channel_faults import ChannelRecord
-from .channel_summary import PIECE_ROWS, segment_starts, segments, stretches
+from .channel_summary import segment_starts, segments, stretches
 from .findings import RecordFinding
-from .thresholds import RECORD_THRESHOLDS, Thresholds
+from .thresholds import PIECE_ROWS, RECORD_THRESHOLDS, Thresholds
 
 DERIVATIVE_ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}  # of the displacement
 UNIT_FACTORS = {  # between two units that are mixed up

@@ -13,6 +13,7 @@ from estimator.arrays import Array
 from estimator.model.recorder import AntiAlias
 
 from .findings import ChannelSummary
+from .thresholds import PIECE_ROWS
 
 ISO_BAND_HZ = (10.0, 1000.0)  # of the velocity, ISO 20816-1
 RATE_PER_PASSED_HZ = 2.56  # of a recorder whose filter is not known: the habit of analysers since the first ones
@@ -20,7 +21,6 @@ MIN_PASSED_AMPLITUDE = 0.8  # of the filter at an edge of a band: tolerance of I
 MIN_STRETCH_S = 1.0  # ten periods of the lower edge
 SEGMENT_S = 2.0  # of the spectrum that is integrated to velocity
 MAX_SEGMENTS = 256  # of an averaged spectrum, spread over the record: its random error is 6 %, of a band far less
-PIECE_ROWS = 1 << 18  # that are looked at together: nothing of the size of a record is made
 
 
 def stretches(there: NDArray[np.bool_]) -> list[tuple[int, int]]:

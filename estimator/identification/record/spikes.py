@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 
-from .channel_summary import PIECE_ROWS
-from .thresholds import RECORD_THRESHOLDS, Thresholds
+from .thresholds import PIECE_ROWS, RECORD_THRESHOLDS, Thresholds
 
 GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
 MIN_SAMPLES = 16  # for the robust standard deviation

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+PIECE_ROWS = 1 << 18  # that are looked at together: nothing of the size of a record is made
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Thresholds:

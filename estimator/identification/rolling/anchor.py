@@ -15,10 +15,6 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.likelihood.path.contour import modes_at
-from estimator.likelihood.path.determinant import Jacobian, tangent_times
-from estimator.likelihood.path.noise_bias import NoiseBias
-from estimator.likelihood.path.whitening import Whitening
 from estimator.likelihood.path.working_point import WorkingPoint, point_at
 from estimator.likelihood.response.regressor_set import (
     Regressor,
@@ -27,6 +23,10 @@ from estimator.likelihood.response.regressor_set import (
     tangent_response,
     with_second_order,
 )
+from estimator.likelihood.whitening.contour import modes_at
+from estimator.likelihood.whitening.determinant import Jacobian, tangent_times
+from estimator.likelihood.whitening.noise_bias import NoiseBias
+from estimator.likelihood.whitening.whitening import Whitening
 
 NODES_PER_WIDTH = 6.0  # of a resonance: the midpoint rule is then good to 1e-3 standard deviations of the parameters
 NODES_PER_DISTANCE = 15.0  # from a resonance

@@ -8,8 +8,8 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments
+from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
 from .cell_power import renewed_noise

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.whitening.sensor_noise import referred_psd
 
 MIN_NOISE_SHARE = 1e-3  # of the power of the noisiest sensor's noise, that every sensor is given
 MAX_CELLS = 260  # over the band

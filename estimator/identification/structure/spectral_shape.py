@@ -17,8 +17,8 @@ from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
-from estimator.likelihood.path.sensor_noise import force_correlation
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.whitening.sensor_noise import force_correlation
 from estimator.model.rig import Model
 from estimator.results import Parameter
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.whitening.sensor_noise import referred_psd
 from estimator.parallel import map_threads
 
 MIN_NOISE_RATIO = 1e-4  # sensor noise referred to force over S, least that is searched

@@ -1,1 +1,1 @@
-"""Whitening, Gram matrices, Jacobian and one Newton step of the path likelihood."""
+"""Gram matrices, Jacobian and Newton steps of the path likelihood, and standard deviations."""

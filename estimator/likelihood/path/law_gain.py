@@ -12,10 +12,10 @@ from estimator.errors import NotFiniteError
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
+from estimator.likelihood.whitening.whitening import WhitenedRegressors
 
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
-from .whitening import WhitenedRegressors
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(TIME_FOLDS)

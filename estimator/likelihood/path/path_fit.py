@@ -25,10 +25,9 @@ from scipy.linalg import block_diag
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import tangent_response
+from estimator.likelihood.whitening.determinant import Jacobian
+from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.parallel import map_threads
-
-from .determinant import Jacobian
-from .whitening import Spectrum, WhitenedRegressors, Whitening
 
 # Share of the information of single regressors, for a sum of them. Mean tangents are known to about 1 %. Where
 # regressors of a law cancel to 1e-4 of their power, the tangent of the sum is mostly error, and so is the determinant.

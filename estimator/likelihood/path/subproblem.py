@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
+from estimator.likelihood.whitening.determinant import Jacobian
+from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors
 
-from .determinant import Jacobian
 from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit_increments, log_likelihood
-from .whitening import Spectrum, WhitenedRegressors
 from .working_point import WorkingPoint
 
 

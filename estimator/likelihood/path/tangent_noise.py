@@ -17,9 +17,9 @@ from estimator.arrays import Array
 from estimator.likelihood.motion.denoise import MAX_NOISE_POWER_SHARE
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.response.regressor_set import unit_tangents
+from estimator.likelihood.whitening.whitening import Whitening
 
 from .path_fit import Gram
-from .whitening import Whitening
 
 
 def without_tangent_noise(

@@ -26,16 +26,16 @@ from estimator.likelihood.response.regressor_set import (
     regressors,
     with_second_order,
 )
+from estimator.likelihood.whitening.contour import continued_tangent, contour
+from estimator.likelihood.whitening.determinant import Jacobian
+from estimator.likelihood.whitening.noise_bias import NoiseBias
+from estimator.likelihood.whitening.sensor_noise import SensorNoise, force_correlation, referred_noise
+from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
-from .contour import continued_tangent, contour
-from .determinant import Jacobian
-from .noise_bias import NoiseBias
 from .path_fit import Gram, PathFit, fit_increments, gram_matrices
-from .sensor_noise import SensorNoise, force_correlation, referred_noise
 from .tangent_noise import without_tangent_noise
-from .whitening import Spectrum, WhitenedRegressors, Whitening
 
 SEARCHED_STEP_SD = 0.3  # prior standard deviation of a step of a searched parameter, over its natural scale
 

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
-from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, fit_increments
 from estimator.likelihood.path.subproblem import Subproblem
+from estimator.likelihood.whitening.determinant import Jacobian
 
 
 def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents() -> None:

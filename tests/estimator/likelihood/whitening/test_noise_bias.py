@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.likelihood.path.noise_bias import NoiseBias
+from estimator.likelihood.whitening.noise_bias import NoiseBias
 
 
 def test_slope_and_curvature_are_those_of_the_value() -> None:

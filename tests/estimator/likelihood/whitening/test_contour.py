@@ -15,9 +15,9 @@ from reference_rig import CROSS, RATE, TRUTH, rig_model, rig_record
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.likelihood.path.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
-from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.response.regressor_set import tangent_response
+from estimator.likelihood.whitening.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
+from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import shaft_matrix
