@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -45,6 +46,35 @@ def test_the_manual_names_no_source_file_and_no_revision(page: Path) -> None:
     text = page.read_text("utf-8")
     assert not NAMES_A_SOURCE_FILE.findall(text)
     assert not REVISION.findall(text)
+
+
+def test_the_reference_pages_are_those_of_the_code() -> None:
+    script = (
+        "import json, sys; sys.path.insert(0, 'docs'); from make_reference import pages; print(json.dumps(pages()))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name, text in json.loads(done.stdout).items():
+        assert (ROOT / "docs" / name).read_text("utf-8") == text, "write it anew: python docs/make_reference.py"
+
+
+def test_the_site_has_every_page() -> None:
+    listed = set(re.findall(r"- ([\w/.-]+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M))
+    assert listed == {str(page.relative_to(ROOT / "docs")) for page in PAGES if "docs" in page.relative_to(ROOT).parts}
+
+
+@pytest.mark.slow
+def test_the_tutorials_run_as_they_are_printed_and_the_error_falls(tmp_path: Path) -> None:
+    said: list[str] = []
+    for page in ("tutorial.md", "model-is-wrong.md"):
+        for line in re.findall(r"^    (rotorscope .*)$", (ROOT / "docs" / page).read_text("utf-8"), re.M):
+            command = [sys.executable, "-m", "daq", *line.split()[1:]]
+            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, (line, done.stderr)
+            said.append(done.stdout)
+    missing = [float(text) for out in said for text in re.findall(r"^missing force: ([\d.]+) %", out, re.M)]
+    assert missing[0] > 0.5
+    assert missing[-1] < 0.1
+    assert any("verdict: clearance" in out for out in said)
 
 
 def test_architecture_is_one_page() -> None:

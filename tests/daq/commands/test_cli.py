@@ -58,7 +58,8 @@ def log(rig: Path) -> Path:
 
 def valid(path: Path, schema: str) -> dict[str, Any]:
     value: dict[str, Any] = json.loads(path.read_text())
-    jsonschema.validate(value, json.loads((SCHEMAS / f"{schema}.json").read_text()))
+    for folder in (SCHEMAS, ROOT / "docs" / "schemas"):
+        jsonschema.validate(value, json.loads((folder / f"{schema}.json").read_text()))
     return value
 
 

@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from daq.commands.cli.app import main
 
+ROOT = Path(__file__).parents[3]
 RATE_HZ = 6400.0
 RIG = """
 schema = 1
@@ -52,6 +54,7 @@ def record(tmp_path: Path) -> Path:
 def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert main(["severity", *arguments, "--json", "-"]) == 0
     value: dict[str, Any] = json.loads(capsys.readouterr().out)
+    jsonschema.validate(value, json.loads((ROOT / "docs" / "schemas" / "severity.json").read_text()))
     return value
 
 
