@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -244,6 +246,23 @@ def test_no_chain_of_imports_inside_a_folder_is_long(package: str) -> None:
 def test_the_estimator_has_seven_rooms_and_five_files() -> None:
     entries = {entry.name for entry in (ROOT / "estimator").iterdir() if entry.name != "__pycache__"}
     assert entries == ROOMS | ROOT_FILES
+
+
+def test_public_names_of_the_rooms_have_numpy_docstrings() -> None:
+    """Where names of a room's `__init__` are defined. The laws of effects/ are told by their fields."""
+    files = set()
+    for path, tree in sources("estimator").items():
+        if path.name == "__init__.py":
+            for node in tree.body:
+                if isinstance(node, ast.ImportFrom) and node.module:
+                    at = path.parent if node.level == 1 else ROOT
+                    files.add((at / node.module.replace(".", "/")).with_suffix(".py"))
+    kinds = {"damping", "excitation", "rotating", "sensor", "stiffness"}
+    found = [str(f) for f in files if f.is_file() and f.parent.name not in kinds]
+    rules = ["--isolated", "--select=D", "--ignore=D105,D107,D401", '--config=lint.pydocstyle.convention="numpy"']
+    done = subprocess.run([sys.executable, "-m", "ruff", "check", *rules, *found], capture_output=True, text=True)
+    assert len(found) > 30
+    assert done.returncode == 0, done.stdout
 
 
 def test_other_packages_import_only_public_names_of_a_room() -> None:

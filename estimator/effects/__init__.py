@@ -79,5 +79,11 @@ NAMED = CATALOGUE | MORE_LINES  # what a model's effects may be called
 
 
 def found_by(name: str) -> FoundBy:
-    """What the parameters of an effect of this name are estimated from; "law" for a user's own law."""
+    """What the parameters of an effect of this name are estimated from; "law" for a user's own law.
+
+    Parameters
+    ----------
+    name : str
+        Name of an effect.
+    """
     return NAMED[name].found_by if name in NAMED else "law"

@@ -40,8 +40,19 @@ class Quadratic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curve:
-    """Stiffness at one preload (m). x, force, tangent, secant : (n,) m, N, N/m, N/m. kL : tangent at x = 0, N/m;
-    kNL : coefficient of x^3 in the force at x = 0, N/m^3 (None with clearance, where the force has no such term)."""
+    """Stiffness at one preload.
+
+    Attributes
+    ----------
+    preload : float
+        Radial preload, m.
+    x, force, tangent, secant : (n,) float64
+        Displacement (m), force (N), and its tangent and secant (N/m).
+    kL : float
+        Tangent at x = 0, N/m.
+    kNL : float or None
+        Coefficient of x^3 in the force at x = 0, N/m^3; None with clearance, where the force has no such term.
+    """
 
     preload: float
     x: Array
@@ -70,8 +81,20 @@ class FittedRow:
 class Theory:
     """Hertz stiffness of the rig's bearing.
 
-    bearing : its geometry. inner, outer : contacts of a ball with the raceways. K_n : N/m^1.5, load over deflection^1.5
-    of a ball. kinematics : orders of the shaft speed by name. curves : stiffness by preload. fitted : by location.
+    Attributes
+    ----------
+    bearing : BearingGeometry
+        Its geometry.
+    inner, outer : PointContact
+        Contacts of a ball with the raceways.
+    K_n : float
+        Load over deflection^1.5 of a ball, N/m^1.5.
+    kinematics : mapping of str to float
+        Orders of the shaft speed by name.
+    curves : tuple of Curve
+        Stiffness by preload.
+    fitted : tuple of FittedRow
+        Stiffness by location.
     """
 
     bearing: BearingGeometry
@@ -142,7 +165,13 @@ class Theory:
 
 
 def kinematics(bearing: BearingGeometry) -> dict[str, float]:
-    """Cage, ball-pass and ball-spin frequencies per shaft revolution, outer ring fixed, pure rolling."""
+    """Cage, ball-pass and ball-spin frequencies per shaft revolution, outer ring fixed, pure rolling.
+
+    Parameters
+    ----------
+    bearing : BearingGeometry
+        Numbers of balls, diameters and contact angle.
+    """
     ratio = bearing.ball_diameter / bearing.pitch_diameter * math.cos(bearing.contact_angle)
     return {
         "FTF": 0.5 * (1.0 - ratio),
@@ -231,10 +260,19 @@ def curve(bearing: BearingGeometry, preload: float, reach: float | None = None, 
 
 
 def taylor(bearing: BearingGeometry, preload: float, K_n: float | None = None) -> tuple[float, float | None]:
-    """kL (N/m) and kNL (N/m^3) of the force at x = 0, a ball on the axis; (0, None) in a clearance.
+    """Coefficients kL (N/m) and kNL (N/m^3) of the force at x = 0, a ball on the axis; (0, None) in a clearance.
 
     Exact derivatives of sum K (g + x c + y s)^1.5 with the transverse balance: by symmetry y = O(x^2), and it enters
     the cubic term through the coupling sum c s^... of an odd number of balls; for even Z it vanishes.
+
+    Parameters
+    ----------
+    bearing : BearingGeometry
+        Numbers of balls, diameters and contact angle.
+    preload : float
+        Radial preload, m; negative: clearance.
+    K_n : float or None
+        Load over deflection^1.5 of a ball, N/m^1.5; None: by Hertz's theory.
     """
     if preload <= 0.0:
         return 0.0, None

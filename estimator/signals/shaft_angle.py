@@ -96,8 +96,10 @@ def with_measured_speed(model: Model, y: Array, rate_hz: float) -> Model:
 
 
 def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
-    """(n,) rad, rising through a multiple of 2 pi at each pulse, a cubic spline between pulses, at the last known speed
-    beyond them. It begins within half a turn of 0: the phase of a fractional order depends on which pulse is 0.
+    """Shaft angle (n,) rad, rising through a multiple of 2 pi at each pulse.
+
+    It is a cubic spline between pulses, and goes on at the last known speed beyond them. It begins within half a turn
+    of 0: the phase of a fractional order depends on which pulse is 0.
 
     The spline matters at high orders: linear interpolation lags by up to alpha T^2 / 8 within a turn of period T under
     an angular acceleration alpha.

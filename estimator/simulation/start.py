@@ -38,7 +38,7 @@ def start_state(
     start: Literal["boltzmann", "rest"],
     first: int,
 ) -> tuple[Array, Array, Array, int]:
-    """x (slots,) m, v (slots,) m/s, z and the number `first` of the next step.
+    """Motion x (slots,) m, v (slots,) m/s, memories z and the number `first` of the next step.
 
     Raises ModelError where there is no stationary state.
     """

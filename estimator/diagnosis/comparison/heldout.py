@@ -60,6 +60,11 @@ def heldout_nll(point: WorkingPoint) -> float:
     """Nats per sample: every time fold judged by the parameters of the others. Lower is better.
 
     Of the one-sided PSD of the accelerations in the band, over all places; one sample is one row of the record.
+
+    Parameters
+    ----------
+    point : WorkingPoint
+        The model fitted to the record.
     """
     total = 0.0
     left = set(range(len(point.data.places)))

@@ -21,7 +21,18 @@ SCALE_OF_UNIT = {"m": "x", "m/s": "v", "Hz": "hz_peak"}
 
 
 def effect_of(use: EffectUse) -> Effect:
-    """The effect that a use names: of the catalogue, or the user's own. Raises ModelError."""
+    """The effect that a use names: of the catalogue, or the user's own.
+
+    Parameters
+    ----------
+    use : EffectUse
+        An effect of a model, with its settings.
+
+    Raises
+    ------
+    ModelError
+        No effect has that name, or the user's law is none.
+    """
     if use.custom is not None:
         return custom_effect(use)
     if use.name not in NAMED:

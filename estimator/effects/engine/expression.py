@@ -71,7 +71,17 @@ OPERATOR_SIGNS = {
 
 
 class ExpressionError(ModelError):
-    """What is wrong with an expression, and at which column (from 1) of it; or with a parameter of it."""
+    """What is wrong with an expression.
+
+    Parameters
+    ----------
+    text : str
+        What is wrong, one line.
+    column : int
+        Where, counted from 1.
+    parameter : str
+        Name of the parameter that is wrong; "" where it is the expression itself.
+    """
 
     def __init__(self, text: str, column: int, parameter: str = "") -> None:
         super().__init__(text if parameter else f"{text} (column {column})")

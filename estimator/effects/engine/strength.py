@@ -41,7 +41,7 @@ class Size:
 
     @property
     def force(self) -> float:
-        """rms of the linear bearing force, N."""
+        """Rms of the linear bearing force, N."""
         return self.kL * self.x
 
     def of(self, parameter: EffectParameter) -> float:
@@ -116,7 +116,7 @@ def defaults(effect: Effect, at: Size, model: Model | None = None) -> NDArray[np
 
 
 def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0, seed: int = 0) -> float:
-    """rms of an effect's force, N, over Gaussian independent x, v of both directions, times and shaft angles.
+    """Rms of an effect's force, N, over Gaussian independent x, v of both directions, times and shaft angles.
 
     A memory effect is driven by a harmonic of the rig's own frequency and rms. An effect on disc or shaft is taken at
     the cap's motion: only its order of size is meant.

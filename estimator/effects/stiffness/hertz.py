@@ -20,8 +20,10 @@ BALL_COSINES, BALL_SINES = (
 
 @cache
 def _law(known: int) -> Callable[..., float]:
-    """The law of so many balls, whose loop the compiler unrolls and vectorises over samples (five times faster); of as
-    many as p says where known is 0."""
+    """The law of so many balls; of as many as p says where known is 0.
+
+    The compiler unrolls the loop of a known number and vectorises it over samples (five times faster).
+    """
 
     def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
         # The tangent at rest is taken off: kL stays the whole stiffness there. Balls are frozen at th_j = 2 pi j / Z.

@@ -188,8 +188,10 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
 
 
 def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
-    """Place -> m (kg), c (N s/m), k (N/m) of the mean response with the disc held, and the band (Hz); for places that
-    have no measured force."""
+    """Place -> m (kg), c (N s/m), k (N/m) of the mean response with the disc held, and the band (Hz).
+
+    For places that have no measured force.
+    """
     data = point.data
     k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(
         (0.0, 0.0) if data.disc is None else data.disc.held, (2, 1)

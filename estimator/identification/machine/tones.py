@@ -57,7 +57,13 @@ class Line:
 
 
 def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
-    """Bands of lines of several channels, rising, overlapping ones joined."""
+    """Bands of lines of several channels, rising, overlapping ones joined.
+
+    Parameters
+    ----------
+    bands : iterable of LineBand
+        In any order.
+    """
     out: list[LineBand] = []
     for band in sorted(bands, key=lambda band: band.centre_hz):
         if out and band.low_hz <= out[-1].high_hz:

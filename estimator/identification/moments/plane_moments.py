@@ -124,8 +124,10 @@ class PlaneMoments:
         return ""
 
     def _split(self, u: Complexes, index: int) -> tuple[Complexes, ...]:
-        """E[f f'] (..., p, p), E[f' v^2] and E[f shaft] (..., p), E[v^2] (...) of one cap from the mean series
-        u (..., K), for unit mass and all of the band."""
+        """E[f f'] (..., p, p), E[f' v^2] and E[f shaft] (..., p), E[v^2] (...) of one cap.
+
+        u : (..., K), the mean series, for unit mass and all of the band.
+        """
         cap = self.plane.caps[index]
         p = len(cap.powers)
         part = u[..., self._slices[index]]

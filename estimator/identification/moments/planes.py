@@ -30,9 +30,14 @@ POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 class Cap:
     """One measured bearing cap in one direction.
 
-    place : "bearing1.x" and so on.
-    powers : powers of the displacement in its restoring force, 1 first.
-    mass : kg; None: unknown.
+    Attributes
+    ----------
+    place : str
+        "bearing1.x" and so on.
+    powers : tuple of int
+        Powers of the displacement in its restoring force, 1 first.
+    mass : float or None
+        Mass, kg; None: unknown.
     """
 
     place: str
@@ -51,11 +56,18 @@ class Cap:
 class Plane:
     """The caps of one direction and the shaft between them.
 
-    direction : "x" or "y".
-    caps : the measured caps, one or two.
-    ks : shaft stiffness, N/m.
-    a, b : coefficients of the shaft energy, see the text of the module.
-    disc : mass of the disc, kg; None: unknown.
+    Attributes
+    ----------
+    direction : str
+        "x" or "y".
+    caps : tuple of Cap
+        The measured caps, one or two.
+    ks : float
+        Shaft stiffness, N/m.
+    a, b : float
+        Coefficients of the shaft energy, see the text of the module.
+    disc : float or None
+        Mass of the disc, kg; None: unknown.
     """
 
     direction: str

@@ -74,5 +74,10 @@ def pileup_p_value(count: int) -> float:
 
     The next value has a third of the samples beyond `MIN_PILE_SAMPLES`; under a falling density both are equally
     likely.
+
+    Parameters
+    ----------
+    count : int
+        Samples at the extreme value.
     """
     return float(betainc(count, max(count - MIN_PILE_SAMPLES, 0) / 3 + 1, 0.5))

@@ -1,4 +1,4 @@
-"""The record layer: is this record fit to be judged?"""
+"""The record layer: whether a record is fit to be judged."""
 
 from __future__ import annotations
 

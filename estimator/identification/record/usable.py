@@ -98,7 +98,17 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
 
 
 def without_spikes(model: Model, y: Array, survey: RecordSurvey) -> Array:
-    """The record with NaN in place of its spikes; itself if it has none. y : (n, channels), SI."""
+    """The record with NaN in place of its spikes; itself if it has none.
+
+    Parameters
+    ----------
+    model : Model
+        The rig.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``.
+    survey : RecordSurvey
+        What is known of the channels of the record.
+    """
     names = [channel.name for channel in model.channels]
     spikes = [(names.index(f.channels[0]), f.rows) for f in survey.findings if f.code == SPIKES_CODE]
     if not spikes:
@@ -121,14 +131,28 @@ def _clipping_levels(model: Model, y: Array) -> dict[str, Parameter]:
 
 
 def level_parameter(found: tuple[float, int] | None, kind: str) -> Parameter:
-    """The level of a clipped channel as a parameter. found : level and number of samples, None of another channel."""
+    """The level of a clipped channel as a parameter.
+
+    Parameters
+    ----------
+    found : (float, int) or None
+        Level, SI, and number of samples there; None for a channel that does not clip.
+    kind : str
+        Kind of the channel, such as "acceleration".
+    """
     if found is None:
         return Parameter(None, None, MOTION_UNITS[kind], identifiable=False, reason="the channel does not clip")
     return Parameter(found[0], LEVEL_SD_REL * found[0], MOTION_UNITS[kind])
 
 
 def record_messages(survey: RecordSurvey) -> tuple[Message, ...]:
-    """The findings of a survey as messages."""
+    """The findings of a survey as messages.
+
+    Parameters
+    ----------
+    survey : RecordSurvey
+        What is known of the channels of a record.
+    """
     return tuple(Message(f.code, f.text, f.places[0] if len(f.places) == 1 else "") for f in survey.findings)
 
 

@@ -53,8 +53,15 @@ def candidates(model: Model, names: tuple[str, ...]) -> Model:
 
 
 def missing_force(follower: Follower) -> dict[str, float] | None:
-    """The `extra` of an estimate: the rms force that candidates would explain, per cent of the rms linear bearing
-    force, by all of them together and by each that is certain; None if it is not known."""
+    """The `extra` of an estimate: the rms force that candidates would explain; None if it is not known.
+
+    Per cent of the rms linear bearing force, by all of them together and by each that is certain.
+
+    Parameters
+    ----------
+    follower : Follower
+        The rolling fit.
+    """
     from scipy.special import chdtri
 
     anchor, memory = follower.anchor, follower.watched
