@@ -55,10 +55,12 @@ def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
 
 
 def test_the_same_rows_in_other_chunks_give_the_same_bits(record: np.ndarray) -> None:
-    y = record[: int(8 * RATE)]
-    a = run(RollingEstimator(rig_model("cubic"), RATE, 5.0), y)
-    b = run(RollingEstimator(rig_model("cubic"), RATE, 5.0), y)
-    assert [e.parameters for e in a] == [e.parameters for e in b]
+    y = record[: 6 * 25600]
+    by_chunk = {size: run(RollingEstimator(rig_model("cubic"), RATE, 5.0), y, size) for size in (1280, 7680, len(y))}
+    for estimates in by_chunk.values():
+        assert estimates[-1] == by_chunk[1280][-1]
+        at = {e.index: e for e in by_chunk[1280]}
+        assert all(e == at[e.index] for e in estimates)
 
 
 def test_gaps_are_left_out(record: np.ndarray) -> None:
