@@ -1,7 +1,8 @@
 """The working point that a rolling fit counts its increments from, thinned to what the determinant needs.
 
 The likelihood is that of a fit (`likelihood.path.path_fit`). It is exact for any increment of a parameter that the
-force is linear in, so one anchor serves until the mean tangents of the laws change much.
+force is linear in, so one anchor serves until the mean tangents of the laws change much. Of another parameter, such as
+a gap, it holds for small increments.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ class Anchor:
     second_order: Complexes
     responses: Complexes
     tangents: Array
+    prior: Array
     mean_tangent: Array
     cells: NDArray[np.int64]
 
@@ -160,6 +162,7 @@ def anchor_at(
         second_order=point.jacobian.second_order[nodes],
         responses=np.ascontiguousarray(whole[..., nodes]),
         tangents=np.array([t.tangent * t.scale for t in made]),
+        prior=point.prior_information,
         mean_tangent=point.mean_tangent,
         cells=cells,
     )

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments
+from estimator.likelihood.path.path_fit import (
+    Gram,
+    PathFit,
+    fit_increments,
+    information_inverse,
+    slope_and_curvature,
+)
 from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
@@ -24,6 +32,7 @@ MAX_NEWTON_SD = 1.0  # length of one step, standard deviations, that needs no se
 MIN_CHANGE_SD = 5.0  # between the two memories, of a parameter that has changed
 SOLUTIONS_PER_CHECK = 2  # check for a change
 MAX_ANCHOR_SD = 5.0  # of an increment, beyond which the anchor is renewed
+MAX_SEARCHED_STEP = 0.3  # of a parameter that a force is not linear in, over the step that the prior information allows
 MIN_LEVEL_RATIO = 1.1  # of the power, beyond which the mean tangents of a law are another: 5 % in rms
 MIN_EXCESS_SD = 3.0  # of a variance from the scatter of pieces above that of the Hessian: chance gives 1 in 700
 MIN_PIECES = 10.0  # for their scatter
@@ -32,15 +41,20 @@ THE_FOLD = np.zeros(1, np.int64)  # the only fold of a memory
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """The path likelihood of a memory. gram : one fold. blocks : (1,) weighted number of blocks."""
+    """The path likelihood of a memory. gram : one fold. blocks : (1,) weighted number of blocks. prior : (k,)."""
 
     gram: Gram
     jacobian: Jacobian
     blocks: Array
+    prior: Array
 
     def fit(self, start: Array, steps: int) -> PathFit:
-        """The maximum over the increments, from a start (k,), scaled."""
-        return fit_increments(self.gram, self.jacobian, THE_FOLD, self.blocks, start, None, steps)
+        """The maximum over the increments, from a start (k,), scaled; the covariance is without prior information."""
+        found = fit_increments(self.gram, self.jacobian, THE_FOLD, self.blocks, start, self.prior, steps)
+        if not self.prior.any():
+            return found
+        H = slope_and_curvature(self.gram, self.jacobian, THE_FOLD, self.blocks, found.delta)[2]
+        return replace(found, covariance=information_inverse(H))
 
 
 def problem_of(anchor: Anchor, memory: Memory, names: int) -> Problem:
@@ -54,7 +68,15 @@ def problem_of(anchor: Anchor, memory: Memory, names: int) -> Problem:
         G=memory.gram.sum(axis=0)[:, None, : 1 + K, : 1 + K], n=n, log_weight=np.zeros((P, 1)), tangents=responses,
         scales=anchor.scales[:K], names=anchor.names[:K], units=anchor.units[:K],
     )  # fmt: skip
-    return Problem(gram=gram, jacobian=jacobian, blocks=np.array([memory.n]))
+    prior = np.concatenate([anchor.prior, np.zeros(K)])[:K]
+    return Problem(gram=gram, jacobian=jacobian, blocks=np.array([memory.n]), prior=prior)
+
+
+def _with_values(use: LocatedLaw, values: Mapping[str, float]) -> LocatedLaw:
+    """The law at values by full name; those that it is not linear in stay within their limits."""
+    p = [values[use.name(k)] for k in range(use.p.size)]
+    limits = [(-np.inf, np.inf) if q.linear else (q.low, q.high) for q in use.effect.parameters]
+    return use.with_values(np.array([np.clip(z, *own) for z, own in zip(p, limits, strict=True)]))
 
 
 class Follower:
@@ -189,6 +211,7 @@ class Follower:
         if self._solutions % SOLUTIONS_PER_CHECK == 1:
             self._noise = renewed_noise(self.anchor, self.slow, self.delta)
         far = np.abs(self.delta) > MAX_ANCHOR_SD * np.sqrt(np.diag(self.covariance()))
+        far |= np.abs(self.delta) * np.sqrt(self.anchor.prior) > MAX_SEARCHED_STEP
         ratio = np.abs(np.log(self.fast.level / self.fast.n / self._anchored_level))
         return bool(self._noise or far.any() or (self.anchor.placed and (ratio > np.log(MIN_LEVEL_RATIO)).any()))
 
@@ -198,7 +221,7 @@ class Follower:
         places = old.data.places
         kL, c = (np.array([values[f"{p}.{key}"] for p in places]) for key in ("kL", "c"))
         mass = np.array([values.get(f"{p}.m", m) for p, m in zip(places, old.data.mass, strict=True)])
-        placed = [u.with_values(np.array([values[u.name(k)] for k in range(u.p.size)])) for u in old.placed]
+        placed = [_with_values(use, values) for use in old.placed]
         data = data.with_mass(mass) if data.free_inertia else data
         nu, S = self._noise or (old.nu, old.S)
         self._noise = None

@@ -132,11 +132,13 @@ def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, 
                 out[i].known = out[i].known + np.float32(held) * z
                 mean_tangent[i, i, which] += held
     for use in anchor.placed:
-        own = {t.name: t for t in regressors(use, data, lin, True)}
+        own = {t.name: t for t in regressors(use, data, lin)}
         amplitudes = [use.name(k) for k, q in enumerate(use.effect.parameters) if q.linear]
         whole = not amplitudes or not own.keys() >= set(amplitudes)
-        values = {use.name(k): float(z) for k, z in enumerate(use.p)}
-        made += [(t, 0.0 if whole else values[t.name]) for t in own.values()]
+        values = (
+            {} if whole else {use.name(k): float(use.p[k]) for k, q in enumerate(use.effect.parameters) if q.linear}
+        )
+        made += [(t, values.get(t.name, 0.0)) for t in own.values()]
         for i in use.at if whole else ():
             force, slopes, _ = law_along_record(use, data, i, lin)
             out[i].known = out[i].known + force

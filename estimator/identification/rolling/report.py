@@ -14,6 +14,7 @@ from .cell_power import CellPower, excess_power
 from .follower import Follower
 from .start import FirstFit
 
+LOST_LAW = "its force is not distinguishable from zero in this record"
 MIN_COLOUR_REL = 0.05  # of the power of the residual force in a cell of frequency, from which it matters to a number
 MAX_COLOUR_RATIO = 2.0  # of that power to the mean of all cells or its inverse, up to which they are shown
 
@@ -35,7 +36,7 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
                 out[name] = Parameter(values[name], 0.0, LINEAR_UNITS[key], reason="given")
         out[f"{place}.S"] = _judged_parameter(S[i] * level[i], S[i] * level_sd[i], LINEAR_UNITS["S"])
     out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
-    out = with_mass_uncertainty(model, {**out, **first.held}, first.masses)
+    out = with_mass_uncertainty(model, _without_lost_laws(follower, out), first.masses)
     out = {**with_unidentifiable_at(places_without_mass(model), NO_MASS_REASON, out, "N"), **first.masses}
     cells = CellPower.of(anchor, follower.slow, follower.delta)
     for place, (excess, hz) in zip(anchor.data.places, excess_power(anchor, cells), strict=True):
@@ -54,6 +55,18 @@ def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: flo
         return with_unidentifiable_at([place], reason, found) | given
     fitted = {name: p for name, p in found.items() if p.identifiable and p.sd and is_of_place(name, place)}
     return found | {name: replace(p, reason=reason) for name, p in fitted.items()}
+
+
+def _without_lost_laws(follower: Follower, found: dict[str, Parameter]) -> dict[str, Parameter]:
+    """The parameters, without those of laws none of whose fitted amplitudes is told from zero."""
+    out = dict(found)
+    for use in follower.anchor.placed:
+        names = {use.name(k): q for k, q in enumerate(use.effect.parameters) if use.name(k) in found}
+        amplitudes = [found[name] for name, q in names.items() if q.linear]
+        if amplitudes and not any(p.identifiable for p in amplitudes):
+            lost = {name: q.unit for name, q in names.items() if not q.linear}
+            out |= {n: Parameter(None, None, unit, identifiable=False, reason=LOST_LAW) for n, unit in lost.items()}
+    return out
 
 
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:

@@ -14,7 +14,6 @@ from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
 from estimator.identification.machine.line_bands import with_lines_left_out
-from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.harmonics import known_lines
@@ -25,7 +24,6 @@ from estimator.results import Parameter
 from estimator.signals.channel_response import corrected_record
 from estimator.signals.shaft_angle import with_measured_speed
 
-HELD_REASON = "held at what the first seconds gave"
 MIN_CORRELATION_TIMES = 10.0  # that the first seconds have to hold
 MAX_KNOWN_LINES_SHARE = 0.5  # of the band, that the lines of the model's own periodic forces may take
 LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
@@ -33,13 +31,11 @@ LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
 
 @dataclass(frozen=True, slots=True)
 class FirstFit:
-    """The fit of the first seconds. masses : those that the shaft sets, by full name. held : parameters that the force
-    is not linear in, by full name; they stay at these values."""
+    """The fit of the first seconds. masses : those that the shaft sets, by full name."""
 
     model: Model
     point: WorkingPoint
     masses: Mapping[str, Parameter]
-    held: Mapping[str, Parameter]
 
 
 def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) -> FirstFit:
@@ -55,17 +51,7 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
     if residual_is_noise(model, point):
         point = fit_model(replace(point.data, residual_is_noise=True), list(point.placed), point)
     _check(point)
-    found = fitted_parameters(point)
-    searched = [use.name(k) for use in point.placed for k, q in enumerate(use.effect.parameters) if not q.linear]
-    held = {name: replace(found[name], reason=HELD_REASON) for name in searched if found[name].sd}
-    return FirstFit(model, _with_amplitudes_free(point), masses, held)
-
-
-def _with_amplitudes_free(point: WorkingPoint) -> WorkingPoint:
-    """The point whose laws have free amplitudes only."""
-    linear = [[q.linear for q in use.effect.parameters] for use in point.placed]
-    free = [tuple(np.logical_and(use.free, own).tolist()) for use, own in zip(point.placed, linear, strict=True)]
-    return replace(point, placed=tuple(replace(use, free=f) for use, f in zip(point.placed, free, strict=True)))
+    return FirstFit(model, point, masses)
 
 
 def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:

@@ -169,7 +169,8 @@ def law_along_record(
     if placed.effect.kind == "shaft":
         f, across = shaft_law.shaft_force(placed.effect, p, data, i, lin)
         return f, slopes, across
-    out, sums = _along(placed.effect, p, data, i)
+    amplitudes = np.array([q.linear for q in placed.effect.parameters])
+    out, sums = _along(placed.effect, p, data, i, like=np.where(amplitudes, p, placed.p))
     slopes[:, i] += sums[:, :2]
     o = data.other(i)
     if o is not None:
@@ -209,15 +210,16 @@ def _character(effect: Effect, p: Array, size: Array, folding_hz: float) -> tupl
 
 
 def _along(
-    effect: Effect, p: Array, data: MotionRecord, i: int, tangents: Series | None = None
+    effect: Effect, p: Array, data: MotionRecord, i: int, tangents: Series | None = None, like: Array | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """Force (n,) N of a memoryless law along the motion of place i, and its mean tangents (folds, 4) to x, v, xo, vo.
 
     A law that jumps, or whose harmonics alias, is evaluated on a finer grid. tangents : (2, n) to be filled with the
-    tangents along x and v, on the grid of the record.
+    tangents along x and v, on the grid of the record. like : parameters that decide on the grid, so that laws whose
+    difference is taken have the same one; None: p.
     """
     o, n, fold_rows = data.other(i), data.x.shape[1], data.fold_rows
-    reads, jumps = _character(effect, p, data.sizes(i), data.rate_hz - data.band[1])
+    reads, jumps = _character(effect, p if like is None else like, data.sizes(i), data.rate_hz - data.band[1])
     sharp = tangents is None and jumps
     zero, states = np.zeros(n), product((i, o), (data.denoised_displacement, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]

@@ -234,7 +234,9 @@ def fit_increments(
     b = np.concatenate([[1.0], delta])
     S = np.einsum("a,iab,b->i", b, G, b) / n
     value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
-    return PathFit(names=gram.names, delta=delta, covariance=_inverse(H), S=S, log_likelihood=value, scales=gram.scales)
+    return PathFit(
+        names=gram.names, delta=delta, covariance=information_inverse(H), S=S, log_likelihood=value, scales=gram.scales
+    )
 
 
 def slope_and_curvature(
@@ -268,7 +270,7 @@ def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
     return np.asarray(d * (U @ ((U.T @ (d * g)) / e)))
 
 
-def _inverse(H: Array) -> Array:
+def information_inverse(H: Array) -> Array:
     """H^-1 with eigenvalues, relative to the diagonal, of at least 1e-6."""
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
