@@ -50,7 +50,7 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
         said = next((line.strip() for line in why[1:] if line.strip()), why[0])
         raise ModelError(
             f"law {law.__name__} of {law.__code__.co_filename}: numba cannot compile it: {said}; "
-            "use floats, the math module and the arguments of the seam (estimator/effect.py)"
+            "write it with its arguments, numbers and the math module alone (docs/effects.md)"
         ) from error
     _KEPT_CODE.append(compiled)
     return int(compiled.address)
