@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 from daq.base.console.ahead import loaded
 from daq.base.console.extras import check_installed
+from daq.base.console.fitting import FittingTable
 from daq.base.console.memory import keep_freed
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import number, parameters_table
@@ -176,13 +177,15 @@ def theory(output: Output, rig_path: Path) -> None:
         text = "balls, ball_diameter_mm, pitch_diameter_mm and groove_radius_mm"
         raise ConfigError(f"{rig_path}: theory needs the bearing's geometry: add [rig.bearing] with {text}")
     result = hertz(rig.model, _values(rig))
-    table = Table(box=None, header_style="bold", pad_edge=False)
     rows = result.table()
     keys = list(dict.fromkeys(k for row in rows for k in row))
-    for key in keys:
-        table.add_column(Text(_THEORY_HEADINGS.get(key, key)), justify="left" if key == "row" else "right")
-    for row in rows:
-        table.add_row(*(_cell(row.get(key)) for key in keys))
+    important = [k for name in _THEORY_ORDER for k, key in enumerate(keys) if key == name]
+    table = FittingTable(
+        headings=[_THEORY_HEADINGS.get(key, key) for key in keys],
+        rows=[[_cell(row.get(key)) for key in keys] for row in rows],
+        order=important,
+        right=frozenset(k for k, key in enumerate(keys) if key != "row"),
+    )
     orders = ", ".join(f"{k} {v:.3f}" for k, v in result.kinematics.items())
     K_n = f"K_n = {result.K_n:.4g} N/m^1.5 ({result.K_n * 1e-3**1.5:.4g} N/mm^1.5)"
     output.result(result.to_json(), table, "", f"{K_n}; orders of the shaft speed: {orders}")
@@ -194,14 +197,17 @@ _THEORY_HEADINGS = {
     "kL_N_per_mm": "kL [N/mm]",
     "kNL_N_per_mm3": "kNL [N/mm^3]",
     "tangent_k0": "tangent k0 [N/mm]",
-    "tangent_k2": "k2 [N/mm^3]",
+    "tangent_k2": "tangent k2 [N/mm^3]",
     "secant_k0": "secant k0 [N/mm]",
-    "secant_k2": "k2 [N/mm^3]",
+    "secant_k2": "secant k2 [N/mm^3]",
 }
 
 
-def _cell(value: Any) -> Text:
-    return Text("" if value is None else value if isinstance(value, str) else f"{value:.4g}")
+_THEORY_ORDER = ("kNL_N_per_mm3", "tangent_k0", "secant_k0", "tangent_k2", "secant_k2")  # the first ones stay longest
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"
 
 
 def _values(rig: Rig) -> Fit | None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
+from daq.base.console.fitting import FittingTable
 from daq.base.console.output import Output
 from daq.base.contract.errors import ConfigError
 from daq.rig.problems import did_you_mean
@@ -15,12 +16,11 @@ from estimator.model import Effect
 
 def effects(output: Output, name: str | None) -> None:
     if name is None:
-        table = Table(box=None, header_style="bold", pad_edge=False)
-        for heading in ("effect", "acts on", "parameters", "law"):
-            table.add_column(heading, overflow="fold", no_wrap=heading in ("effect", "acts on"))
-        for effect in CATALOGUE.values():
-            parameters = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
-            table.add_row(effect.name, _ACTS_ON[effect.kind], _plain(parameters), _plain(effect.equation))
+        rows = [
+            (e.name, _ACTS_ON[e.kind], ", ".join(f"{p.name} [{p.unit}]" for p in e.parameters), e.equation)
+            for e in CATALOGUE.values()
+        ]
+        table = FittingTable(headings=("effect", "acts on", "parameters", "law"), rows=rows, order=(3, 2, 1))
         people = "More of one: rotorscope effects NAME. Add one: rotorscope add NAME --rig RIG --out RIG2."
         output.result({"schema": 1, "effects": [as_json(e) for e in CATALOGUE.values()]}, table, people)
         return

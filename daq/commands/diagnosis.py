@@ -17,6 +17,7 @@ from estimator.results import NOT_JUDGED, RIG_FILE
 if TYPE_CHECKING:
     from estimator.diagnosis.verdict import Improvement
 
+from daq.base.console.fitting import FittingTable
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import ladder_table, number
 from daq.base.contract.errors import ConfigError
@@ -34,6 +35,9 @@ from .analyse import IN_USE, Pages, about, compared, given, origin, step
 REASON_CODES = (NOT_JUDGED, "bearing_not_judged")  # said with the layers
 _OUTSIDE_CATALOGUE = "the catalogue does not hold; type a law of your own into the rig file"
 _NO_LAW = "is not a law of a bearing: see the notes, and correct what they name first"
+RANKING_HEADINGS = (
+    "effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from",
+)  # fmt: skip
 BELOW_DETECTION = (
     'an effect weaker than "detectable from" cannot be seen in a record of this length and level; a record four times '
     "as long halves the limit"
@@ -121,9 +125,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
     from estimator.diagnosis.verdict import NO_LAW_CODES
 
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
-        table.add_column(Text(heading), overflow="fold")
+    rows = []
     for row in value["ranking"][:most]:
         before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]
         missing = f"{before:.2f} -> {after:.2f}" if before or after else ""  # of a tone or strikes it is unknown
@@ -134,8 +136,9 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""
         cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", _p(row["p_value"]),
                  missing, parameters, limit)  # fmt: skip
-        table.add_row(*(Text(c) for c in cells))
-    people: list[Any] = [table, ""] if value["ranking"] else []
+        rows.append(cells)
+    table = FittingTable(headings=RANKING_HEADINGS, rows=rows, order=(4, 2, 3, 5, 1, 6))
+    people: list[Any] = [table, ""] if rows else []
     shown = {finding["text"] for finding in value.get("record", {}).get("findings", ())}
     coded = zip(value.get("messages", ()), value.get("message_codes", repeat("")), strict=False)
     people += [f"note: {text}" for text, code in coded if text not in shown and code not in REASON_CODES]

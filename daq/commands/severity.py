@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
+from daq.base.console.fitting import FittingTable
 from daq.base.console.output import Output
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement
@@ -53,14 +51,10 @@ def severity(
     output.result(value | origin(log, rig_path, rig, data), *people, *pages.said())
 
 
-def cells_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table of numbers: the first column is a name."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for k, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="right" if k else "left", no_wrap=True)
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+def cells_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> FittingTable:
+    """A table of numbers: the first column is a name, the last ones give way first."""
+    numbers = range(1, len(headings))
+    return FittingTable(headings=headings, rows=rows, order=list(numbers), right=frozenset(numbers))
 
 
 def _write_pages(pages: Pages, rig: Rig, data: Measurement, record: dict[str, Any], said: Sequence[str]) -> None:

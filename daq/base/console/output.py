@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
 PIPE_WIDTH = 160
+MIN_WIDTH, MAX_WIDTH = 20, 10_000  # columns that may be asked for
 REDRAW_S = 0.5  # so that the time goes on where nothing is told
 CONTROL_CHARACTERS = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
 # whoever read what we say has left: the pipe is closed, the terminal hung up
@@ -62,7 +63,7 @@ class Output:
 
     @property
     def to_stdout(self) -> Console:
-        return _console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+        return _console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else pipe_width())
 
     @property
     def to_stderr(self) -> Console:
@@ -78,10 +79,11 @@ class Output:
         if self.quiet:
             return
         console = self.to_stderr if self.json == "-" else self.to_stdout
+        wrapped = self.json != "-" and (sys.stdout.isatty() or asked_width() is not None)  # at words
         with unheard(sys.stderr if self.json == "-" else sys.stdout):
             for part in parts:
                 if isinstance(part, str):
-                    console.print(part, markup=False, emoji=False, soft_wrap=True)
+                    console.print(part, markup=False, emoji=False, soft_wrap=not wrapped)
                 else:
                     console.print(part)
 
@@ -130,6 +132,17 @@ class Output:
 
             with ticking(REDRAW_S, bar.refresh):
                 yield told
+
+
+def pipe_width() -> int:
+    """Columns of a pipe or a file: what COLUMNS asks for, else PIPE_WIDTH."""
+    return asked_width() or PIPE_WIDTH
+
+
+def asked_width() -> int | None:
+    """What COLUMNS asks for; None where it asks for nothing that can be."""
+    asked = os.environ.get("COLUMNS", "")
+    return int(asked) if asked.isdigit() and MIN_WIDTH <= int(asked) <= MAX_WIDTH else None
 
 
 def tell(text: str) -> None:

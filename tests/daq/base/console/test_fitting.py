@@ -1,0 +1,55 @@
+"""Tables and text at a width: whole words, whole numbers, the least important columns left out and named."""
+
+from __future__ import annotations
+
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from daq.base.console.fitting import FittingTable
+from daq.base.console.output import pipe_width
+
+ROOT = Path(__file__).parents[4]
+TABLE = FittingTable(
+    headings=("channel", "value", "remark", "least of all"),
+    rows=[("bearing1.x", "1.234e+10", "a sentence of several words", "x"), ("b2", "-5", "", "yyyyyyyyyyyyyyyy")],
+    order=(2, 3),
+    right=frozenset({1}),
+)
+
+
+def drawn(width: int) -> str:
+    out = io.StringIO()
+    Console(file=out, width=width).print(TABLE)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("width", [24, 36, 50, 80])
+def test_no_word_and_no_number_is_broken(width: int) -> None:
+    text = drawn(width)
+    assert max(map(len, text.splitlines())) <= width
+    for word in ("bearing1.x", "1.234e+10", "-5"):
+        assert word in text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
+    assert ("sentence" in text) == (width >= 36)
+    assert ("yyyyyyyyyyyyyyyy" in text) == (width >= 50)
+    assert ("least of all" in re.sub(r"\s+", " ", text.partition("left out")[2])) == (width < 50)
+
+
+@pytest.mark.parametrize(("asked", "width"), [("80", 80), ("", 160), ("0", 160), ("wide", 160), ("-3", 160)])
+def test_a_pipe_has_the_width_that_is_asked_for(asked: str, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", asked)
+    assert pipe_width() == width
+
+
+@pytest.mark.parametrize("command", [["effects"], ["theory", "configs/tiwari_vyas_1997.toml"], ["ports"]])
+def test_commands_keep_to_80_columns_in_a_pipe(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    done = subprocess.run([sys.executable, "-m", "daq", *command], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "\N{HORIZONTAL ELLIPSIS}" not in done.stdout
