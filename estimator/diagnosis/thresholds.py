@@ -26,8 +26,8 @@ class Thresholds:
     max_gap_over_motion: float = 1.0  # a gap wider than the largest motion is never closed
 
     # mistakes in the rig file
-    coherence_max_p_value: float = 1e-6  # of coherent residual forces, for the rig file to be on trial
-    coherence_max_left_rel: float = 0.04  # power: the square of max_left_rel
+    coherence_max_p_value: float = 1e-6  # of caps that predict each other with the rig as given
+    coherence_max_left_rel: float = 0.1  # power: 10 dB
 
 
 THRESHOLDS = Thresholds()

@@ -10,11 +10,10 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape, missing_force_curve
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
-from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
-from estimator.identification.batch.full_fit import FullFit, is_disturbance
+from estimator.identification.batch.full_fit import FullFit
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -24,6 +23,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 
 from .gates import Context, judged
 from .joint_fit import left_of_own_state
+from .mistake import mistake_entry
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -122,19 +122,23 @@ def judge_bearing(
         Of this model, if it is known.
     """
     say(0.15, "what can still be predicted")
+    rate_hz = point.data.rate_hz
     survey = survey or survey_bearing(model, point, y)[0]
     found = rank_on_part(model, survey, say)
     if survey.adequate:
+        mistaken = None if point.data.background is None else _mistaken(model, y, rate_hz, survey, refused)
+        if mistaken is not None:
+            return replace(mistaken, ranking=(*mistaken.ranking, *found.entries))
         return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
     named = [e for e in entries if e.passed]
-    if not (named and named[0].placed) and RIG_FILE not in refused:
+    if not (named and named[0].placed):
         say(0.92, "a mistake in the rig file?")
-        if (mistake := likeliest_mistake(_without_disturbances(model), y, point.data.rate_hz)) is not None:
-            return _of_mistake(mistake, model, survey, entries)
+        if (mistaken := _mistaken(model, y, rate_hz, survey, refused)) is not None:
+            return replace(mistaken, ranking=(*mistaken.ranking, *entries))
     entries += tones
     if not named:
         return _unknown(context, entries)
@@ -224,20 +228,20 @@ def _leaves_message(entry: Entry) -> Message:
     return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {100 * (_left(entry) or 0.0):.0f} % of it")
 
 
-def _without_disturbances(model: Model) -> Model:
-    """The model with the laws of its states only."""
-    return replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)), background=None)
+def _mistaken(
+    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, refused: frozenset[str] = frozenset()
+) -> BearingJudgement | None:
+    """The judgement that the rig file has a mistake; None where none explains the record, or it is refused."""
+    found = None if RIG_FILE in refused else mistake_entry(model, y, rate_hz, survey)
+    return None if found is None else BearingJudgement(RIG_FILE, (found[0],), messages=(found[1],))
 
 
-def _of_mistake(mistake: Mistake, model: Model, survey: BearingSurvey, entries: list[Entry]) -> BearingJudgement:
-    """The judgement that the rig file has a mistake."""
-    text = mistake.hypothesis.text(mistake.values)
-    entry = Entry(
-        effect=RIG_FILE, at=(), gain=mistake.nats, heldout_gain=mistake.nats - mistake.left_nats, p_value=0.0,
-        before_percent=survey.missing.interval()[0], after_percent=0.0,
-        parameters=dict(mistake.hypothesis.parameters(model, mistake.values)), score=mistake.nats,
-    )  # fmt: skip
-    return BearingJudgement(RIG_FILE, (entry, *entries), messages=(Message(RIG_FILE, text),))
+def judge_unfitted(model: Model, y: Array, rate_hz: float, reason: str) -> BearingJudgement:
+    """The judgement where the model cannot be fitted: a mistake in the rig file, or why the bearings are not judged.
+
+    y : (n, channels) float64, samples, SI. reason : one line.
+    """
+    return _mistaken(model, y, rate_hz, None) or BearingJudgement.not_judged(reason)
 
 
 def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:

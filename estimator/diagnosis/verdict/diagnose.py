@@ -22,10 +22,11 @@ from estimator.identification.structure import StructureSurvey
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, judge_bearing, quiet
+from .bearing import BearingJudgement, judge_bearing, judge_unfitted, quiet
 from .clipped import with_clipped_channels
 from .signal_findings import (
     line_entries,
+    rig_file_entry,
     shaft_entries,
     strike_entries,
     tones_of_surroundings,
@@ -125,7 +126,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | Non
     say = progress or quiet
     say(0.0, "channels, tones and strikes")
     layers = survey_layers(model, y, rate_hz)
-    return verdict_of_layers(model, layers, bearing_layer(model, y, rate_hz, layers, say))
+    return verdict_of_layers(model, layers, bearing_layer(model, y, rate_hz, layers, say), rate_hz)
 
 
 def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: Progress) -> BearingJudgement:
@@ -136,21 +137,25 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
     say(0.0, "fit of the model as it is")
     try:
         usable = judgeable_record(model, y, layers)
+    except DataError as problem:
+        return with_clipped_channels(BearingJudgement.not_judged(str(problem)), model, y, layers.record)
+    try:
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
         surroundings = tones_of_surroundings(layers.record, layers.machine)
         found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
         found = replace(found, messages=(*found.messages, *whole.messages))
     except DataError as problem:
-        found = BearingJudgement.not_judged(str(problem))
+        found = judge_unfitted(usable.model, usable.y, rate_hz, str(problem))
     return with_clipped_channels(found, model, y, layers.record)
 
 
-def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement) -> Diagnosis:
+def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, rate_hz: float) -> Diagnosis:
     """The verdict of all layers.
 
     A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
     shaft's angle, which modulates the vibration at its own order. Imbalance and misalignment go before what is only the
-    trace of a tone. A line is named only where no model of the bearings explains the record.
+    trace of a tone. A line is named only where no model of the bearings explains the record. A wrong speed or rate in
+    the rig file is named where nothing is missing, or nothing that has a name.
     """
     record, machine = layers.record, layers.machine
     there = {use.name for use in model.effects}
@@ -161,6 +166,10 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement) -
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)
     verdict = bearing.verdict if keeps or first is None else first.effect
+    mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown") else None
+    if mistaken is not None:
+        verdict = RIG_FILE
+        bearing = replace(bearing, ranking=(mistaken[0], *bearing.ranking), messages=(mistaken[1], *bearing.messages))
     names = {entry.effect for entry in bearing.ranking} if keeps else set()
     ranking = _ranking(bearing.ranking, [entry for entry in signal if entry.effect not in names], keeps)
     return Diagnosis(

@@ -14,11 +14,18 @@ from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
-from estimator.identification.machine import MachineSurvey, StrikeTrain, Tone
+from estimator.identification.machine import (
+    RATE_CONTRADICTED,
+    RECORD_SOURCE,
+    SPEED_CONTRADICTED,
+    MachineSurvey,
+    StrikeTrain,
+    Tone,
+)
 from estimator.identification.record import RecordSurvey
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, Model
-from estimator.results import Message, Parameter
+from estimator.results import RIG_FILE, Message, Parameter
 
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
@@ -157,6 +164,29 @@ def tones_of_surroundings(
     )
     lines = frozenset(LINE_NAMES)
     return frozenset(PERIODIC_EFFECTS) - {LOCAL_DEFECT.name} - (lines if unexplained else frozenset())
+
+
+def rig_file_entry(model: Model, machine: MachineSurvey, rate_hz: float) -> tuple[Entry, Message] | None:
+    """A wrong speed or a wrong rate in the rig file, and what to check; None where the record contradicts neither.
+
+    A comb of harmonics far from the given speed is a remark alone: it may be of another machine.
+    """
+    speed = machine.speed
+    if speed is None or speed.source != RECORD_SOURCE or not model.speed_rpm:
+        return None
+    rpm = Parameter.from_estimate(speed.value_rpm, speed.sd_rpm, "rpm")
+    hz = rate_hz * model.speed_rpm / speed.value_rpm
+    rate = Parameter.from_estimate(hz, hz * speed.sd_rpm / speed.value_rpm, "Hz")
+    named = {SPEED_CONTRADICTED: {"rig.speed_rpm": rpm}, RATE_CONTRADICTED: {"rate_hz": rate, "rig.speed_rpm": rpm}}
+    for message in machine.messages:
+        if message.code in named:
+            nats = 0.5 * ((speed.value_rpm - model.speed_rpm) / speed.sd_rpm) ** 2
+            entry = Entry(
+                effect=RIG_FILE, at=(), gain=nats, heldout_gain=nats, p_value=0.0, before_percent=0.0,
+                after_percent=0.0, parameters=named[message.code], score=nats,
+            )  # fmt: skip
+            return entry, Message(RIG_FILE, message.text)
+    return None
 
 
 def whole_order_messages(machine: MachineSurvey) -> Iterator[Message]:

@@ -1,7 +1,18 @@
 """Tones, harmonics, impact trains and parametric stiffness of a machine."""
 
 from .machine_survey import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
+from .speed import RATE_CONTRADICTED, RECORD_SOURCE, SPEED_CONTRADICTED
 from .survey import survey_machine
 from .tones import joined_bands
 
-__all__ = ["MachineSurvey", "ShaftSpeed", "StrikeTrain", "Tone", "joined_bands", "survey_machine"]
+__all__ = [
+    "RATE_CONTRADICTED",
+    "RECORD_SOURCE",
+    "SPEED_CONTRADICTED",
+    "MachineSurvey",
+    "ShaftSpeed",
+    "StrikeTrain",
+    "Tone",
+    "joined_bands",
+    "survey_machine",
+]

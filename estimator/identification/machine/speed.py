@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed t
 RATE_CONTRADICTED = "rate_contradicted"  # the record was sampled at another rate than it says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
 SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
+RECORD_SOURCE: Final = "record"  # of a speed that the harmonics of the shaft show
 TACHO_SD_TURNS = 0.02  # of the angle between the first and the last pulse: width of an edge, spline beyond it
 NAMEPLATE_REACH_REL = 0.05  # about the given speed: slip of an induction motor between no load and overload
 NAMEPLATE_SD_REL = 0.01  # of a given speed that the record does not confirm: usual slip
@@ -60,7 +62,7 @@ def shaft_speed(
     if near is not None:
         hz, sd = near
         wander = _wander(spectra, hz)
-        speed = ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="record", wander_rel=wander)
+        speed = ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source=RECORD_SOURCE, wander_rel=wander)
         return speed, _contradiction(hz, sd, given)
     speed = ShaftSpeed(value_rpm=60 * given, sd_rpm=60 * given * NAMEPLATE_SD_REL, source="rig file")
     other = _comb(spectra, MIN_FREE_HZ, MAX_FREE_HZ)
@@ -94,7 +96,7 @@ def tacho_angle(model: Model, y: Array, rate_hz: float) -> Array | None:
 
 def rate_contradiction(lines: Sequence[Line], speed: ShaftSpeed, given_rpm: float | None) -> list[Message]:
     """The remark on a rate by which shaft and mains are off alike; it takes the place of one on the speed."""
-    if speed.source != "record" or not given_rpm:
+    if speed.source != RECORD_SOURCE or not given_rpm:
         return []
     ratio = speed.value_rpm / given_rpm
     if abs(ratio - 1.0) < MIN_RATE_ERROR_REL or (mains := mains_at(lines, ratio)) is None:

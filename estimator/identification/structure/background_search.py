@@ -6,7 +6,7 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
 
-from .cross_spectra import cross_spectra
+from .cross_spectra import CrossSpectra, cross_spectra
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, products
 from .spectral_shape import MIN_UNKNOWN_DEPTH_RMS, spectra_are_explained
 
@@ -33,6 +33,7 @@ BEST_SCORES = 60  # of a form at a cap, among which the proposals are
 SAME_FREQUENCY_LN = 0.1  # proposals nearer than this are one
 SURE_MASS_SD = 0.1  # of ln(mass): a mode as sure is worth some 50 nats
 TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0
+MIN_STIFFNESS_REL = 1e-3  # of the stiffest bearing, for a start where a fit is far from the rotor
 START_NOISE_REL = 1e-4  # of the least PSD
 SHAPE_KNOTS = 64  # of the spectrum of the force in the result
 
@@ -63,16 +64,15 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
 
 def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> dict[str, BearingBackground]:
     """The background of the caps of one direction, by place; empty where the model explains their spectra."""
-    problem = _problem(model, point, places)
-    least = MIN_GAIN_NATS * _dispersion(point)
+    problem = spectral_problem(model, point, measured_spectra(model, point, places))
+    least = MIN_GAIN_NATS * force_dispersion(point)
     try:
         if (known := _known(model, point, problem)) is None:
-            found = first = problem.maximised(_start(problem, point))
+            found = first = problem.maximised(start_values(problem, point))
         else:
             problem, found = known
-            first, found = None, _pruned(problem, found, least)
-        if float(problem.misfit(found).max()) >= MIN_UNKNOWN_DEPTH_RMS:
-            problem, found = _search(problem, found, least)
+            first, found = None, without_idle_modes(problem, found, least)
+        problem, found = search_background(problem, found, least)
     except np.linalg.LinAlgError:
         return {}
     if first is not None and found.log_likelihood - first.log_likelihood < least:
@@ -82,22 +82,46 @@ def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) ->
     return dict(_result(problem, found, point, places))
 
 
-def _problem(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> JointSpectrum:
-    """The spectral problem of the caps of one direction at the mean tangents of a working point."""
-    data, own = point.data, list(places)
+def measured_spectra(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> CrossSpectra:
+    """The spectral matrices of the caps at some places: of the measured velocity, or of the residual force of laws.
 
-    def response(f_hz: Array) -> Complexes:
-        return _acceleration_per_force(model, point, places, f_hz)
+    Where laws act, the residual force and the linearised rotor give the spectra without the harmonics of the laws.
+    """
+    if point.placed or point.data.background is not None:
+        return cross_spectra(
+            point.data, point.force, places, lambda f_hz: _acceleration_per_force(model, point, places, f_hz)
+        )
 
-    spectra = cross_spectra(data, point.force, places, response)
+    def acceleration_per_velocity(f_hz: Array) -> Complexes:
+        return np.asarray(2j * np.pi * f_hz[:, None, None] * np.eye(len(places)), np.complex128)
+
+    return cross_spectra(point.data, point.data.v, places, acceleration_per_velocity)
+
+
+def spectral_problem(
+    model: Model, point: WorkingPoint, spectra: CrossSpectra, channel_of: tuple[int, ...] | None = None
+) -> JointSpectrum:
+    """The spectral problem of the caps of one direction at the mean tangents of a working point.
+
+    channel_of : by place, the place whose channel is there in truth, and with it the tangents; None: its own.
+    """
+    data, own = point.data, list(spectra.places)
+    tangents_of = own if channel_of is None else [channel_of[i] for i in own]
     s = 2j * np.pi * spectra.f_hz
     across = point.mean_tangent[own][:, own] * (1.0 - np.eye(len(own)))[..., None]
     Z0 = _shaft_and_masses(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
-    laws = _law_response(point, spectra.f_hz)[:, own]
+    laws = _law_response(point, spectra.f_hz)[:, tangents_of]
     shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
-    return JointSpectrum(
-        spectra=spectra, Z0=Z0, laws=laws, mass=data.mass[own], shape=shape, damping0=np.log(_sound_damping(point)[own])
-    )  # fmt: skip
+    mass = cap_masses(model, point)[own]
+    _, c = sound_stiffness_and_damping(point)
+    damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
+    return JointSpectrum(spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0)
+
+
+def cap_masses(model: Model, point: WorkingPoint) -> Array:
+    """(places,) kg of the caps; of the working point where the model has none."""
+    data = point.data
+    return np.array([model.cap_mass(place) or data.mass[i] for i, place in enumerate(data.places)])
 
 
 def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int, ...], f_hz: Array) -> Complexes:
@@ -116,7 +140,8 @@ def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int
 def _shaft_and_masses(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
     """(f, caps, caps) N/m, dynamic stiffness of shaft, disc and cap masses at some places."""
     shaft = shaft_response(model, point.data.places, f_hz)[:, own][:, :, own]
-    return np.asarray(shaft - ((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(point.data.mass[own]), np.complex128)
+    inertia = ((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(cap_masses(model, point)[own])
+    return np.asarray(shaft - inertia, np.complex128)
 
 
 def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
@@ -129,12 +154,13 @@ def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
     return np.array([np.interp(f_hz, data.f_hz, z.real) + 1j * np.interp(f_hz, data.f_hz, z.imag) for z in laws]).T
 
 
-def _sound_damping(point: WorkingPoint) -> Array:
-    """(places,) N s/m, damping of the fit, at least 0.1 % of critical."""
-    return np.maximum(point.c, 2e-3 * np.sqrt(point.kL * point.data.mass))
+def sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
+    """(places,) N/m and N s/m, of the fit, but a stiffness above zero, and a damping of 0.1 % of critical at least."""
+    k = np.maximum(point.kL, MIN_STIFFNESS_REL * np.abs(point.kL).max())
+    return k, np.maximum(point.c, 2e-3 * np.sqrt(k * point.data.mass))
 
 
-def _start(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
+def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
     """Values of the fitted model."""
     own = list(problem.spectra.places)
     least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
@@ -154,8 +180,15 @@ def _known(
     there = {} if model.background is None else {c: b for c, p in own.items() if (b := model.background.at.get(p))}
     if not there:
         return None
+    return with_background(problem, point, there)
+
+
+def with_background(
+    problem: JointSpectrum, point: WorkingPoint, there: Mapping[int, BearingBackground]
+) -> tuple[JointSpectrum, JointPoint]:
+    """The problem and its point from a fitted model and the backgrounds of some caps, by number of the cap."""
     problem = problem.with_octaves(min(b.knot_octaves for b in there.values()))
-    values = _start(problem, point)
+    values = start_values(problem, point)
     for cap, background in there.items():
         ln_psd = np.log(background.force_shape(problem.spectra.f_hz))
         values.force[cap] += np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0]
@@ -165,8 +198,13 @@ def _known(
     return problem, problem.maximised(values)
 
 
-def _search(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
-    """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out."""
+def search_background(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
+    """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out.
+
+    The problem as it is where it explains the spectra.
+    """
+    if float(problem.misfit(point).max()) < MIN_UNKNOWN_DEPTH_RMS:
+        return problem, point
     octaves = [o for o in KNOT_OCTAVES if _least_octaves(problem, point) <= o < problem.octaves]
     while len(point.values.modes) < MAX_MODES_PER_CAP * problem.mass.size:
         tried = list(_tried_modes(problem, point))
@@ -179,7 +217,7 @@ def _search(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[Jo
             break
         octaves = octaves if there is problem else octaves[1:]
         problem, point = there, best
-    return problem, _pruned(problem, _in_likelier_forms(problem, point), least)
+    return problem, without_idle_modes(problem, _in_likelier_forms(problem, point), least)
 
 
 def _in_likelier_forms(problem: JointSpectrum, point: JointPoint) -> JointPoint:
@@ -204,7 +242,7 @@ def _in_likelier_forms(problem: JointSpectrum, point: JointPoint) -> JointPoint:
     return point
 
 
-def _pruned(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
+def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
     """The point without the modes that lose less than `least` nats when they are taken out."""
     J, _ = problem.score(point)
     sd = np.sqrt(np.abs(np.diag(np.linalg.pinv(products(J)))))
@@ -275,7 +313,7 @@ def _scores(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[float, 
                     yield float(gain[k]), ModePlace(i, form), np.log([w0[k, 0] / (2 * np.pi), zeta[k, 0], ratio])
 
 
-def _dispersion(point: WorkingPoint) -> float:
+def force_dispersion(point: WorkingPoint) -> float:
     """Variance of averaged spectra over that of an even record: a force whose level changes has fewer independent
     samples."""
     level = point.data.level

@@ -51,22 +51,20 @@ class CrossSpectra:
 
 
 def cross_spectra(
-    data: MotionRecord, force: Series, places: tuple[int, ...], response: Callable[[Array], Complexes]
+    data: MotionRecord, series: Series, places: tuple[int, ...], response: Callable[[Array], Complexes]
 ) -> CrossSpectra:
-    """Spectra of the acceleration that the residual force causes in the linearised rotor, without narrow lines.
-
-    Of a linear rotor it is the measured one. The harmonics that a law makes are not in it.
+    """Spectra of the acceleration that goes with a series of motion or force, without narrow lines.
 
     Parameters
     ----------
     data : MotionRecord
         The record.
-    force : (places of the record, n) floating
-        Residual force, N.
+    series : (places of the record, n) floating
+        Velocity, m/s, or residual force, N.
     places : tuple of int
         Indices of the caps.
     response : callable
-        (f,) Hz -> (f, caps, caps) acceleration per force of the linearised rotor, 1/kg.
+        (f,) Hz -> (f, caps, caps) acceleration per unit of the series.
     """
     pieces, size = _pieces(data)
     f: Array = np.asarray(np.arange(size // 2 + 1) * (data.rate_hz / size), np.float64)
@@ -74,7 +72,7 @@ def cross_spectra(
     S = np.zeros((keep.size, len(places), len(places)), np.complex128)
     for first in pieces:
         for taper in sine_tapers(size):
-            F = rfft(force[list(places), first : first + size] * taper, axis=1)[:, keep].T
+            F = rfft(series[list(places), first : first + size] * taper, axis=1)[:, keep].T
             S += F[:, :, None] * F[:, None, :].conj()
     T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * TAPER_COUNT * len(pieces)))
     S = T @ S @ T.conj().swapaxes(1, 2)

@@ -31,6 +31,8 @@ BAND_MARGINS_REL = (0.8, 1.05)  # of a mode's frequency: lower and upper edge of
 SPLINE_PRIOR_SD = 2.0  # of ln S about its mean: the force varies by 9 dB along the band
 DAMPING_PRIOR_SD = 1.0  # of ln c about its start: a mode as wide as the bearing's resonance takes its damping away
 MAX_STEP = 1.0  # of any parameter, in logarithms
+COHERENCE_CELLS = 40  # of about equal width in log frequency
+FIRST_COHERENCE_CELL = 8  # narrow cells in the first wide one
 SPLINE_DEGREE = 3
 ELEMENTS_PER_PRODUCT = 1 << 13  # of a matrix product that one thread makes
 
@@ -263,6 +265,28 @@ class JointSpectrum:
         n = self.spectra.n
         off = np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2 - 1.0 / n[:, None]
         return np.asarray(np.sqrt(np.maximum(n @ off / n.sum(), 0.0)))
+
+    def dispersion(self, point: JointPoint) -> float:
+        """Mean square of ln(measured / model) of the whitened spectra over its expectation."""
+        n = self.spectra.n
+        off = np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2
+        return float(np.mean(n[:, None] * off))
+
+    def coherence(self, point: JointPoint) -> tuple[float, int]:
+        """Log-likelihood ratio, nats, of free cross spectra of the whitened caps in wide cells, and its parameters."""
+        n, caps = self.spectra.n, range(self.mass.size)
+        edges = np.geomspace(FIRST_COHERENCE_CELL, n.size, COHERENCE_CELLS + 1)[:-1]
+        first = np.unique(np.append(0, np.round(edges).astype(int)))
+        first = first[first < n.size]
+
+        def summed(i: int, j: int) -> Complexes:
+            return np.asarray(np.add.reduceat(n * point.R[:, i, j], first))
+
+        nats = 0.0
+        for i, j in combinations(caps, 2):
+            share = np.abs(summed(i, j)) ** 2 / np.maximum((summed(i, i) * summed(j, j)).real, 1e-300)
+            nats -= float(np.add.reduceat(n, first) @ np.log1p(-np.minimum(share, 1.0 - 1e-9)))
+        return nats, len([*combinations(caps, 2)]) * 2 * first.size
 
     def maximised(self, values: JointValues, steps: int = 40, tolerance_nats: float = 0.1) -> JointPoint:
         """The point of largest likelihood, by damped Fisher scoring from some values."""

@@ -1,10 +1,9 @@
-"""Mistakes in the rig file, told by the coherence of the residual forces of two bearings on one shaft."""
+"""Mistakes in the rig file, told by the cross spectra of two bearings on one shaft."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hidden_effects import ROOT
 
@@ -17,7 +16,7 @@ from estimator.diagnosis.hypotheses.rig_file import (
     coupling_hypotheses,
     likeliest_mistake,
 )
-from estimator.model.rig import Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
 RATE_HZ = 12800.0
@@ -67,4 +66,30 @@ def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -
     assert found is not None
     assert found.hypothesis == ScaledMass("bearing1")
     assert found.hypothesis.parameters(typed, found.values)["rig.mass.bearing1"].value == pytest.approx(0.2, rel=0.1)
-    assert np.isfinite(found.left_nats)
+    assert found.gain_nats > 100.0
+
+
+def test_an_inverted_channel_is_told_beside_structural_modes() -> None:
+    true = coupled()
+    y = simulate(with_support_modes(true), RATE_HZ, 6.0, seed=3, noise=0.02)
+    assert likeliest_mistake(true, y, RATE_HZ) is None
+    y[:, 0] *= -1.0
+    found = likeliest_mistake(true, y, RATE_HZ)
+    assert found is not None
+    assert found.hypothesis == InvertedChannel(0)
+    assert "b1x" in found.hypothesis.text(true, found.values)
+
+
+def test_masses_that_the_shaft_has_to_give_leave_no_witness() -> None:
+    model = coupled()
+    assert not coupling_hypotheses(replace(model, mass={"disc": 0.515, "bearing1": 0.2}))
+
+
+def with_support_modes(model: Model) -> Model:
+    """The rig with a mode of the support under each bearing."""
+    modes = {"bearing1.x": (0.6, 900.0, 0.02), "bearing2.x": (0.9, 1500.0, 0.02)}
+    names = ("mass", "frequency", "damping")
+    settings = {
+        place: {name: Setting(value) for name, value in zip(names, mode, strict=True)} for place, mode in modes.items()
+    }
+    return replace(model, effects=(EffectUse("pedestal", settings),))

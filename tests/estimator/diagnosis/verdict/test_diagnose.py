@@ -17,7 +17,14 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
 from estimator.identification.judgeable import Layers
-from estimator.identification.machine import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
+from estimator.identification.machine import (
+    RATE_CONTRADICTED,
+    SPEED_CONTRADICTED,
+    MachineSurvey,
+    ShaftSpeed,
+    StrikeTrain,
+    Tone,
+)
 from estimator.identification.record import ChannelSummary, RecordSurvey
 from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
@@ -102,12 +109,13 @@ def verdict(
     tones: tuple[Tone, ...] = (),
     model: Model = ONE_CAP_RIG,
     rms: float = 100.0,
+    remarks: tuple[Message, ...] = (),
 ) -> Diagnosis:
     levels = {c.name: ChannelSummary(rms=rms, velocity_rms_mm_s=10.0) for c in model.channels}
     speed = ShaftSpeed(value_rpm=1800.0, sd_rpm=0.6, source="record")
-    machine = MachineSurvey(speed=speed, tones=tones, strikes=trains)
+    machine = MachineSurvey(speed=speed, tones=tones, strikes=trains, messages=remarks)
     layers = Layers(record=RecordSurvey(channels=levels), machine=machine, structure=StructureSurvey(band=model.band))
-    return verdict_of_layers(model, layers, bearing)
+    return verdict_of_layers(model, layers, bearing, RATE_HZ)
 
 
 NOT = BearingJudgement.not_judged("no resonance")
@@ -170,3 +178,18 @@ def test_no_share_is_over_100_percent_and_no_more_than_ten_notes_are_said() -> N
     found = verdict(bearing)
     assert found.ranking[0].before_percent == 100.0
     assert len(found.messages) <= 10
+
+
+@pytest.mark.parametrize(
+    ("code", "key", "value"),
+    [(SPEED_CONTRADICTED, "rig.speed_rpm", 1800.0), (RATE_CONTRADICTED, "rate_hz", RATE_HZ * 1750.0 / 1800.0)],
+)
+def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else_is(
+    code: str, key: str, value: float
+) -> None:
+    rig, remark = replace(ONE_CAP_RIG, speed_rpm=1750.0), Message(code, "check it")
+    found = verdict(judged("complete"), model=rig, remarks=(remark,))
+    assert found.verdict == found.ranking[0].effect == "rig_file"
+    assert found.ranking[0].parameters[key].value == pytest.approx(value)
+    assert verdict(judged("cubic"), model=rig, remarks=(remark,)).verdict == "cubic"
+    assert verdict(judged("complete"), model=rig).verdict == "complete"

@@ -1,0 +1,65 @@
+"""A mistake in the rig file as a verdict: the likeliest one, if the model without it explains the record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
+from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.errors import DataError, NotFiniteError
+from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
+from estimator.model.rig import Model
+from estimator.results import RIG_FILE, Message
+
+
+def mistake_entry(
+    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None
+) -> tuple[Entry, Message] | None:  # fmt: skip
+    """The likeliest mistake in the rig file as a candidate, and what to check; None where none explains the record.
+
+    Parameters
+    ----------
+    model : Model
+        The rig, with all of its effects.
+    y : (n, channels) float64
+        Samples, SI.
+    rate_hz : float
+        Sampling rate, Hz.
+    survey : BearingSurvey or None
+        What the model leaves over; None where it cannot be fitted.
+    """
+    bare = replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)))
+    try:
+        mistake = likeliest_mistake(bare, y, rate_hz)
+        if mistake is None:
+            return None
+        before, after = (None, None) if survey is None else (survey.missing.interval()[0],) * 2
+        if survey is None or not survey.adequate:
+            corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
+            whole = fit_all_effects(corrected, y, rate_hz)
+            left = survey_bearing(whole.model, whole.point, y)[0]
+            after = left.missing.interval()[0]
+            if not left.adequate and (before is None or after > THRESHOLDS.max_left_rel * before):
+                return None
+    except (DataError, NotFiniteError, np.linalg.LinAlgError):
+        return None
+    return _entry(mistake, model, before, after), Message(RIG_FILE, _text(mistake, model))
+
+
+def _entry(mistake: Mistake, model: Model, before: float | None, after: float | None) -> Entry:
+    """The candidate of a ranking."""
+    return Entry(
+        effect=RIG_FILE, at=(), gain=mistake.gain_nats, heldout_gain=mistake.gain_nats, p_value=0.0,
+        before_percent=before or 0.0, after_percent=after or 0.0,
+        parameters=dict(mistake.hypothesis.parameters(model, mistake.values)), score=mistake.gain_nats,
+    )  # fmt: skip
+
+
+def _text(mistake: Mistake, model: Model) -> str:
+    """What to check, with what the record does not tell from it."""
+    return "; or ".join([mistake.hypothesis.text(model, mistake.values), *mistake.rivals])

@@ -1,0 +1,211 @@
+"""Spectral matrices of all caps, explained by a rig and by changes of it, each with a background of its own.
+
+The response of one cap to the force at another shows masses, shaft and channels. The background acts at one cap: it
+does not take the place of a wrong mass without more modes or a lower likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.background import Background
+from estimator.model.rig import Model
+
+from .background_search import (
+    MIN_GAIN_NATS,
+    cap_masses,
+    force_dispersion,
+    measured_spectra,
+    search_background,
+    sound_stiffness_and_damping,
+    spectral_problem,
+    start_values,
+    with_background,
+    without_idle_modes,
+)
+from .cross_spectra import CrossSpectra
+from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
+
+EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
+TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0  # from the solution of another rig
+
+Solution = tuple[JointSpectrum, JointPoint]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arrangement:
+    """Which channel is at which place, and with which sign.
+
+    Parameters
+    ----------
+    channel_of : tuple of int
+        By place, the place whose channel is there in truth.
+    sign : tuple of float
+        By place, +1, or -1 where its channel is inverted.
+    """
+
+    channel_of: tuple[int, ...]
+    sign: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigFit:
+    """The spectra explained by a rig.
+
+    Parameters
+    ----------
+    nats : float
+        Log-likelihood less what the structural modes cost.
+    misfit : float
+        Largest rms of ln(measured / model) of a cap, beyond scatter.
+    coherence_p_value, coherence_nats : float
+        Of what the caps still predict of each other, and its log-likelihood ratio beyond chance.
+    channels : Arrangement
+        Which channel is where.
+    solutions : tuple of (JointSpectrum, JointPoint)
+        By direction.
+    """
+
+    nats: float
+    misfit: float
+    coherence_p_value: float
+    coherence_nats: float
+    channels: Arrangement
+    solutions: tuple[Solution, ...]
+
+    @property
+    def dispersion(self) -> float:
+        """Scatter of the whitened spectra over that of a complete model, 1 or more: nats are worth less by it."""
+        each = [problem.dispersion(point) for problem, point in self.solutions]
+        return max(1.0, *each)
+
+    @property
+    def explains(self) -> bool:
+        """Whether nothing is seen that a further search could explain."""
+        return self.misfit < EXPLAINED_MISFIT
+
+
+class RigSpectra:
+    """The spectral matrices of the caps, and what a rig explains of them.
+
+    Parameters
+    ----------
+    model : Model
+        The rig as it is given, without disturbances.
+    point : WorkingPoint
+        Its fit.
+    """
+
+    def __init__(self, model: Model, point: WorkingPoint) -> None:
+        self._point = point
+        self.places = point.data.places
+        self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
+        by_direction = dict.fromkeys(place[-1] for place in self.places)
+        self._directions = [tuple(i for i, p in enumerate(self.places) if p[-1] == d) for d in by_direction]
+        self.cost_nats = MIN_GAIN_NATS * force_dispersion(point)
+
+    @property
+    def as_given(self) -> Arrangement:
+        """Each channel at its own place."""
+        return Arrangement(channel_of=tuple(range(len(self.places))), sign=(1.0,) * len(self.places))
+
+    def as_fitted(self, model: Model, background: Background | None) -> RigFit:
+        """The fit of the rig as given, with a background that was found before, or sought. Raises LinAlgError."""
+        if background is None:
+            return self.without_idle_modes(self.searched(model, self.as_given))
+        out = []
+        for problem, point in self._started(model, self.as_given, None):
+            caps = {c: self.places[i] for c, i in enumerate(problem.spectra.places)}
+            there = {c: background.at[place] for c, place in caps.items() if place in background.at}
+            known = with_background(problem, self._point, there) if there else (problem, point)
+            out.append(search_background(*known, self.cost_nats))
+        return self._fit(out, self.as_given)
+
+    def searched(self, model: Model, channels: Arrangement, start: RigFit | None = None) -> RigFit:
+        """The fit of a rig whose background is sought, from the fit of another rig or from none.
+
+        Raises numpy.linalg.LinAlgError where the rig explains nothing.
+        """
+        started = self._started(model, channels, start)
+        return self._fit([search_background(*s, self.cost_nats) for s in started], channels)
+
+    def without_idle_modes(self, fit: RigFit) -> RigFit:
+        """The fit without the modes that gain less than they cost."""
+        bare = [(problem, without_idle_modes(problem, point, self.cost_nats)) for problem, point in fit.solutions]
+        return self._fit(bare, fit.channels)
+
+    def tried(self, model: Model, channels: Arrangement, start: RigFit | None) -> RigFit:
+        """The fit of a rig with the modes of the fit of another rig, or without. Raises numpy.linalg.LinAlgError."""
+        return self._fit(self._started(model, channels, start), channels)
+
+    def _fit(self, solutions: Sequence[Solution], channels: Arrangement) -> RigFit:
+        """The fit with these solutions."""
+        each = [problem.coherence(point) for problem, point in solutions]
+        coherent, paid = sum(nats for nats, _ in each), sum(paid for _, paid in each)
+        modes = sum(len(point.values.modes) for _, point in solutions)
+        return RigFit(
+            nats=sum(point.log_likelihood for _, point in solutions) - self.cost_nats * modes,
+            misfit=max(float(problem.misfit(point).max()) for problem, point in solutions),
+            coherence_p_value=float(chdtrc(paid, 2.0 * coherent)) if paid else 1.0,
+            coherence_nats=max(coherent - 0.5 * paid, 0.0),
+            channels=channels,
+            solutions=tuple(solutions),
+        )
+
+    def _started(self, model: Model, channels: Arrangement, start: RigFit | None) -> list[Solution]:
+        """Problem and start by direction."""
+        out = []
+        for k, places in enumerate(self._directions):
+            problem = spectral_problem(model, self._point, self._arranged(places, channels), channels.channel_of)
+            if start is None:
+                out.append((problem, problem.maximised(self._plain_values(model, problem, places, channels))))
+            else:
+                problem = problem.with_octaves(start.solutions[k][0].octaves)
+                values = self._values_of(problem, places, channels, start)
+                out.append((problem, problem.maximised(values, TRIED_STEPS, TRIED_TOLERANCE_NATS)))
+        return out
+
+    def _arranged(self, places: tuple[int, ...], channels: Arrangement) -> CrossSpectra:
+        """The spectra of some places with the channels that are there in truth."""
+        source = [channels.channel_of[i] for i in places]
+        sign = np.array([channels.sign[i] for i in places])
+        psd = self._spectra.psd[:, source][:, :, source] * sign[:, None] * sign
+        return replace(self._spectra, places=places, psd=psd, noise=self._spectra.noise[:, source])
+
+    def _plain_values(
+        self, model: Model, problem: JointSpectrum, places: tuple[int, ...], channels: Arrangement
+    ) -> JointValues:
+        """Values without modes; each channel keeps the frequency of its resonance."""
+        point, source = self._point, list(channels.channel_of)
+        ratio = cap_masses(model, point) / point.data.mass[source]
+        k, c = sound_stiffness_and_damping(point)
+        S, nu = point.S[source] * ratio**2, point.nu[source]
+        return start_values(problem, replace(point, kL=k[source] * ratio, c=c[source] * ratio, S=S, nu=nu))
+
+    def _values_of(
+        self, problem: JointSpectrum, places: tuple[int, ...], channels: Arrangement, start: RigFit
+    ) -> JointValues:
+        """Values of another fit, moved with the channels; each keeps frequencies and mass ratios."""
+        there = {i: (k, cap) for k, direction in enumerate(self._directions) for cap, i in enumerate(direction)}
+        force, rest, modes, q = [], [], [], []
+        for cap, i in enumerate(places):
+            k, cap0 = there[start.channels.channel_of.index(channels.channel_of[i])]
+            old, point = start.solutions[k]
+            heavier = float(np.log(problem.mass[cap] / old.mass[cap0]))
+            v = point.values
+            ln_psd = old.basis @ v.force[cap0] + 2.0 * heavier
+            force.append(np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0])
+            rest.append((v.noise[cap0], v.stiffness[cap0] + heavier, v.damping[cap0] + heavier))
+            own = [j for j, mode in enumerate(v.modes) if mode.cap == cap0]
+            modes += [ModePlace(cap, v.modes[j].form) for j in own]
+            q += [v.q[j] for j in own]
+        noise, stiffness, damping = np.array(rest).T
+        return JointValues(
+            force=np.array(force), noise=noise, stiffness=stiffness, damping=damping, modes=tuple(modes),
+            q=np.array(q).reshape(-1, 3),
+        )  # fmt: skip
