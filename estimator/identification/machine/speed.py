@@ -142,7 +142,7 @@ def _comb(
 
 
 def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: bool) -> tuple[float, float, float] | None:
-    """log p, Hz and sd (Hz) of the clearest fundamental at one resolution of several channels."""
+    """Logarithm of p, Hz and sd (Hz) of the clearest fundamental at one resolution of several channels."""
     seconds = levels[0].seconds
     top = min(level.power.size for level in levels) / seconds
     high = min(high, top)
