@@ -1,7 +1,7 @@
-"""Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [comparison] [report]`.
+"""Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [log] [comparison] [report]`.
 
 rerun.png : the live view, of a session run through the real chain (simulated device, CAN FD frames on a virtual bus,
-core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. comparison.png and
+core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. log.png : a log as Rerun shows it by itself. comparison.png and
 report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth,
 mesa-vulkan-drivers, libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
 """
@@ -23,7 +23,7 @@ SECONDS = 24.0
 
 
 def main(wanted: list[str]) -> int:
-    makers = {"rerun": rerun, "comparison": comparison, "report": report}
+    makers = {"rerun": rerun, "log": log, "comparison": comparison, "report": report}
     unknown = [name for name in wanted if name not in makers]
     if unknown:
         sys.stderr.write(f"no picture {', '.join(unknown)}; there are {', '.join(makers)}\n")
@@ -79,6 +79,14 @@ def demo(folder: Path, ending: str, word: str) -> Path:
     if not out.exists():
         run([sys.executable, "-m", "daq", "demo", "--quiet", "--out", str(out)])
     return next(p for p in sorted(out.iterdir()) if p.suffix == ending and word in p.name)
+
+
+def log(folder: Path) -> Path:
+    """A log as it is, in Rerun without a layout of ours."""
+    file = folder / "day1.mcap"
+    given = [str(RIG), "--out", str(file), "--seconds", "20", "--speed", "max", "--quiet"]
+    run([sys.executable, "-m", "daq", "simulate", *given])
+    return screenshot(file, DOCS / "log.png")
 
 
 def screenshot(recording: Path, out: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -43,8 +44,9 @@ LOG_TOPICS = (
     Topic("/status", "rotorscope.Status"),
     Topic("/preview", "std_msgs/msg/Float64MultiArray", "cdr"),  # of logs before there was a topic for each channel
 )
-# Topics of one number each, for viewers: their ids follow, in the order in which they come
-PREVIEW_TOPIC, ESTIMATES_TOPIC = "/preview/", "/estimates/"
+# Topics for viewers: their ids follow, in the order in which they come. A number of each channel; a map of parameters
+PREVIEW_TOPIC, ESTIMATES_TOPIC = "/preview/", "/estimates"
+ESTIMATES_SCHEMA = "rotorscope.Estimates"
 
 
 def text(said: str) -> str:
@@ -230,6 +232,19 @@ def decode_status(data: bytes) -> Status:
         lag_s=lag,
         dropped={n.name: n.count for n in m.dropped},
     )
+
+
+def encode_estimates(parameters: Mapping[str, Parameter]) -> bytes:
+    """The identifiable values by the parts of their names, as JSON: {"bearing1": {"x": {"kL": 1e7}}}."""
+    out: dict[str, Any] = {}
+    for name, p in parameters.items():
+        if p.value is not None and p.identifiable:
+            at = out
+            *path, last = text(name).split(".")
+            for part in path:
+                at = at.setdefault(part, {})
+            at[last] = p.value
+    return json.dumps(out).encode()
 
 
 def encode_multi_array(values: NDArray[np.float64]) -> bytes:

@@ -42,7 +42,7 @@ class LogEncoder:
         self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
         self._mcap.start(LOG_PROFILE)
         self._ids = [0, *(self._register(topic) for topic in codec.LOG_TOPICS)]
-        self._scalar_ids: dict[str, int] = {}  # topic of one number -> its id
+        self._viewer_ids: dict[str, int] = {}  # topic for viewers -> its number
         self._units: dict[str, str] = {}
         self._recorded = recorded
         self._early: list[Gap | Info | Notice | Status | Estimate] = []  # of a recording, until its date is known
@@ -130,9 +130,9 @@ class LogEncoder:
             return
         self._join()
         self._add(codec.ESTIMATE_CHANNEL, self._last_ns, codec.encode_estimate(estimate))
-        for name, p in estimate.parameters.items():
-            if p.value is not None and p.identifiable:
-                self._scalar(codec.ESTIMATES_TOPIC + name, self._last_ns, p.value, p.unit)
+        if estimate.parameters:
+            values = codec.encode_estimates(estimate.parameters)
+            self._add(self._viewer_id(codec.ESTIMATES_TOPIC), self._last_ns, values)
 
     def status(self, status: Status) -> None:
         if self._about is not None:
@@ -148,9 +148,9 @@ class LogEncoder:
             self._units |= {codec.PREVIEW_TOPIC + s.name: s.unit for s in codec.decode_info(data).signals}
         self._add(topic, log_time, data, publish_time)
 
-    def raw_scalar(self, name: str, log_time: int, publish_time: int, data: bytes) -> None:
-        """A message of a topic of one number as it was in another log: for `recover`."""
-        self._add(self._scalar_id(name, self._units.get(name, "")), log_time, data, publish_time)
+    def raw_viewer_message(self, name: str, log_time: int, publish_time: int, data: bytes) -> None:
+        """A message of a topic for viewers as it was in another log: for `recover`."""
+        self._add(self._viewer_id(name, self._units.get(name, "")), log_time, data, publish_time)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         self._mcap.add_attachment(0, 0, codec.text(name), media_type, data)
@@ -182,17 +182,18 @@ class LogEncoder:
             schema = self._mcap.register_schema(topic.schema, "protobuf", descriptor_set(topic.schema))
         return int(self._mcap.register_channel(topic.name, topic.encoding, schema))
 
-    def _scalar(self, name: str, log_time: int, value: float, unit: str) -> None:
-        self._add(self._scalar_id(name, unit), log_time, codec.encode_multi_array(np.array([value])))
-
-    def _scalar_id(self, name: str, unit: str) -> int:
-        """Number of a topic of one number, for `_put`; registered when it is first seen."""
-        if name not in self._scalar_ids:
-            known = codec.LOG_TOPICS[codec.PREVIEW_CHANNEL - 1]
-            schema = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
-            self._scalar_ids[name] = len(self._ids)
-            self._ids.append(self._mcap.register_channel(codec.text(name), "cdr", schema, {"unit": codec.text(unit)}))
-        return self._scalar_ids[name]
+    def _viewer_id(self, name: str, unit: str = "") -> int:
+        """Number of a topic for viewers, for `_put`; registered when it is first seen."""
+        if name not in self._viewer_ids:
+            if name == codec.ESTIMATES_TOPIC:
+                encoding, about = "json", dict[str, str]()
+                schema = self._mcap.register_schema(codec.ESTIMATES_SCHEMA, "jsonschema", b'{"type": "object"}')
+            else:
+                encoding, about, known = "cdr", {"unit": codec.text(unit)}, codec.LOG_TOPICS[codec.PREVIEW_CHANNEL - 1]
+                schema = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
+            self._viewer_ids[name] = len(self._ids)
+            self._ids.append(self._mcap.register_channel(codec.text(name), encoding, schema, about))
+        return self._viewer_ids[name]
 
     def _introduce(self) -> None:
         if self._session and self._info is not None:
@@ -282,4 +283,5 @@ class LogEncoder:
         for index, low, high in windows:
             for at, counts in ((index, low), (index + half, high)) if half else ((index, low),):
                 for signal, value in zip(self._info.signals, counts * scale + offset, strict=True):
-                    self._scalar(codec.PREVIEW_TOPIC + signal.name, self._on_axis(at), float(value), signal.unit)
+                    topic = self._viewer_id(codec.PREVIEW_TOPIC + signal.name, signal.unit)
+                    self._add(topic, self._on_axis(at), codec.encode_multi_array(np.array([value])))

@@ -65,7 +65,7 @@ def recover(
             if message is None and isinstance(entry, Gap):
                 message = Message(codec.GAP_CHANNEL, last.log_time, last.publish_time, codec.encode_gap(entry))
             if message is not None and message.channel > len(codec.LOG_TOPICS):  # for viewers
-                encoder.raw_scalar(recording.findings.topics[message.channel], *message[1:])
+                encoder.raw_viewer_message(recording.findings.topics[message.channel], *message[1:])
             elif message is not None:
                 encoder.raw_message(*message)
                 last = message

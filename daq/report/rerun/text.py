@@ -19,7 +19,8 @@ def documents(
     notes: Sequence[str], seen: Json | None = None,
 ) -> dict[str, str]:  # fmt: skip
     """Heading -> Markdown, in the order of the tabs."""
-    out = {"Summary": summary(title, comparison, diagnoses, ladder, notes)}
+    said = [*notes, *(seen or {}).get("said", ())]
+    out = {"Summary": summary(title, comparison, diagnoses, ladder, said)}
     if rows := words.regions(before, comparison):
         cells = [
             (n, r["channel"], r["against"].replace("_", " "), r["region"], percent(r["share_percent"])) for n, r in rows
@@ -46,6 +47,8 @@ def summary(
             for s in ladder
         ]
         lines.append(table(("model", "held-out NLL", "missing force"), cells))
+    if comparison is None:
+        return "\n\n".join([*lines, "Grey: measured."])
     lines.append("Blue: the model now. Orange: the model before (step back on the time line). Grey: measured.")
     return "\n\n".join(lines)
 
