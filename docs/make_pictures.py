@@ -1,7 +1,8 @@
 """Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [log] [comparison] [report]`.
 
 rerun.png : the live view, of a session run through the real chain (simulated device, CAN FD frames on a virtual bus,
-core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. log.png : a log as Rerun shows it by itself. comparison.png and
+core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. log.png :
+a log as Rerun shows it by itself. comparison.png and
 report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth,
 mesa-vulkan-drivers, libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
 """
