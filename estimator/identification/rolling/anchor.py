@@ -110,11 +110,10 @@ class Anchor:
         m, places = len(tangents), range(len(self.data.places))
         moved, factor = tangents - self.tangents[:m], self.whitening.measured
         responses = self.responses[:m].copy()
-        if factor is None:
-            some = moved.any(axis=-1)
-            responses[some] += tangent_response(moved[some], self.s)
-        else:
-            responses += tangent_times(tangent_response(moved, self.s), factor[self.nodes])
+        some = np.flatnonzero(moved.any(axis=(1, 2, 3)))
+        if some.size:
+            more = tangent_response(moved[some], self.s)
+            responses[some] += more if factor is None else tangent_times(more, factor[self.nodes])
         A = self.A + np.moveaxis(tangent_response(mean_tangent - self.mean_tangent, self.s), 2, 0)
         weight = np.add.reduceat(share, self.first)
         if not self.data.residual_is_noise:
@@ -128,17 +127,29 @@ class Anchor:
 
 def anchor_at(
     data: MotionRecord, kL: Array, c: Array, nu: Array, S: Array, placed: Sequence[LocatedLaw],
-    watched: Sequence[LocatedLaw] = (),
+    watched: Sequence[LocatedLaw] = (), old: Anchor | None = None,
 ) -> Anchor:  # fmt: skip
-    """The anchor of a model at given values on a record. Arguments as of `point_at`. Raises NotFiniteError."""
+    """The anchor of a model at given values on a record. Arguments as of `point_at`. Raises NotFiniteError.
+
+    old : the anchor before this one. The responses of the candidates stay as they were there, as they are dear; only
+    their mean tangents follow the motion.
+    """
     point = point_at(replace(data, level=None), kL, c, nu, S, list(placed))
-    candidates = _candidate_regressors(point, watched)
-    whitening, made = point.whitening, [*point.regressors, *candidates]
+    whitening, own = point.whitening, point.regressors
     first, nodes = _nodes(point)
-    whole = point.whitened.tangents
-    if candidates:
-        more = whitening.tangents_to_measured(np.array([regressor_response(t, whitening.s) for t in candidates]))
-        whole = np.concatenate([whole, more])
+    same = old is not None and old.nodes.size < old.bins and nodes.size < point.data.bins.size
+    if old is not None and same:
+        first, nodes = old.first, old.nodes
+        names, units, scales = old.names[old.own :], old.units[old.own :], old.scales[old.own :]
+        tangents, more = old.tangents[old.own :], old.responses[old.own :]
+    else:
+        made = _candidate_regressors(point, watched)
+        names, units = tuple(t.name for t in made), tuple(t.unit for t in made)
+        scales = np.array([t.scale for t in made])
+        P = len(data.places)
+        tangents = np.array([t.tangent * t.scale for t in made]).reshape(-1, P, P, 2)
+        whole = np.array([regressor_response(t, whitening.s) for t in made]).reshape(-1, P, P, whitening.s.size)
+        more = whitening.tangents_to_measured(whole)[..., nodes]
     cells = np.unique(np.geomspace(1, point.data.bins.size, FREQUENCY_CELLS + 1).astype(np.int64) - 1)[:-1]
     none = np.zeros(point.data.x.shape[1], bool)
     bare = point.data.at(none)
@@ -150,18 +161,18 @@ def anchor_at(
         nu=nu,
         placed=tuple(placed),
         watched=tuple(watched),
-        names=tuple(t.name for t in made),
-        units=tuple(t.unit for t in made),
-        own=len(point.regressors),
-        scales=np.array([t.scale for t in made]),
+        names=tuple(t.name for t in own) + names,
+        units=tuple(t.unit for t in own) + units,
+        own=len(own),
+        scales=np.concatenate([[t.scale for t in own], scales]),
         whitening=Whitening(data=bare, noise=whitening.noise, s=whitening.s, measured=whitening.measured),
         nodes=nodes,
         first=first,
         A=point.jacobian.A0[nodes],
         s=whitening.s[nodes],
         second_order=point.jacobian.second_order[nodes],
-        responses=np.ascontiguousarray(whole[..., nodes]),
-        tangents=np.array([t.tangent * t.scale for t in made]),
+        responses=np.concatenate([point.whitened.tangents[..., nodes], more]),
+        tangents=np.concatenate([[t.tangent * t.scale for t in own], tangents]),
         prior=point.prior_information,
         mean_tangent=point.mean_tangent,
         cells=cells,

@@ -45,7 +45,7 @@ MIN_BLOCK_ROWS = 128
 START_BLOCKS = 24  # at least, in the first fit
 MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
 MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
-PIECES_PER_WATCH = 4  # of the memory with the candidates
+PIECES_PER_WATCH = 6  # of the memory with the candidates
 PIECES_PER_LOOK = 6  # for missing force
 MAX_STILL_RMS_REL = 1e-6  # of the usual acceleration of a place, or of the other places: it does not move
 
@@ -269,10 +269,11 @@ class RollingEstimator:
 
     def _standing(self, motion: BandLimitedMotion) -> str:
         """A status if a place does not move, else empty."""
-        a = motion.a[: len(self._moves), motion.valid]
+        a = motion.a[: len(self._moves)]
+        a = a if motion.valid.all() else a[:, motion.valid]
         if not a.size:
             return ""
-        rms = np.sqrt(np.mean(np.square(a, dtype=np.float64), axis=1))
+        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
         still = np.flatnonzero(rms <= MAX_STILL_RMS_REL * usual)
         if not still.size:

@@ -225,7 +225,7 @@ class Follower:
         data = data.with_mass(mass) if data.free_inertia else data
         nu, S = self._noise or (old.nu, old.S)
         self._noise = None
-        new = anchor_at(data, kL, c, nu, S, placed, old.watched)
+        new = anchor_at(data, kL, c, nu, S, placed, old.watched, old)
         if new.names != old.names:
             return
         weight = [np.add.reduceat(a.whitening.weight * a.kept, a.cells, axis=1).T for a in (new, old)]

@@ -26,7 +26,7 @@ DEFAULT_CANDIDATES = tuple(name for name, e in CATALOGUE.items() if e.watched)
 # have a frequency or a time scale to be searched
 UNWATCHABLE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.state == "time")
 MAX_FALSE_ALARM_P = 1e-6  # per look and candidate
-MIN_BLOCKS = 6.0  # of the memory with the candidates
+MIN_BLOCKS = 4.0  # of the memory with the candidates
 MIN_EIGENVALUE_REL = 1e-5  # of the information: along smaller ones single precision says nothing
 
 
@@ -68,7 +68,7 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
     own, every = anchor.own, len(anchor.names)
     if own == every or memory.n < MIN_BLOCKS:
         return None
-    base = problem_of(anchor, memory, own).fit(follower.delta, 6)
+    base = problem_of(anchor, memory, own).fit(follower.delta, 3)
     wide = problem_of(anchor, memory, every)
     delta = np.concatenate([base.delta, np.zeros(every - own)])
     g, _, H = slope_and_curvature(wide.gram, wide.jacobian, THE_FOLD, wide.blocks, delta)
