@@ -31,6 +31,7 @@ from estimator.likelihood.whitening.whitening import Whitening
 
 NODES_PER_WIDTH = 6.0  # of a resonance: the midpoint rule is then good to 1e-3 standard deviations of the parameters
 NODES_PER_DISTANCE = 15.0  # from a resonance
+ROUNDING_REL = 1e-9  # of a mean tangent: less is rounding
 FREQUENCY_CELLS = 12  # of the band, each with its own sensor noise
 
 
@@ -110,7 +111,8 @@ class Anchor:
         m, places = len(tangents), range(len(self.data.places))
         moved, factor = tangents - self.tangents[:m], self.whitening.measured
         responses = self.responses[:m].copy()
-        some = np.flatnonzero(moved.any(axis=(1, 2, 3)))
+        size = np.abs(self.tangents[:m]).max(axis=(1, 2, 3), initial=0.0)
+        some = np.flatnonzero(np.abs(moved).max(axis=(1, 2, 3), initial=0.0) > ROUNDING_REL * size)
         if some.size:
             more = tangent_response(moved[some], self.s)
             responses[some] += more if factor is None else tangent_times(more, factor[self.nodes])
