@@ -87,6 +87,7 @@ def motion_record(
         raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
     stretches = joined_blocks(starts, block)
     motion = filtered.of_stretches(stretches, np.float32)
+    return_freed_memory(y)  # the checks have read all of it
     P = len(places)
     rows = np.concatenate([np.arange(part.start, part.stop) for part in stretches])
     t = rows / rate_hz
