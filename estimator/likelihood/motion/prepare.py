@@ -87,7 +87,6 @@ def motion_record(
         raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
     stretches = joined_blocks(starts, block)
     motion = filtered.of_stretches(stretches, np.float32)
-    return_freed_memory(y)  # the checks have read all of it
     P = len(places)
     rows = np.concatenate([np.arange(part.start, part.stop) for part in stretches])
     t = rows / rate_hz
@@ -145,10 +144,12 @@ def _refuse_only_lines(model: Model, fitted_hz: float) -> None:
 def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) -> BandLimitedRecord:
     """Band-limited motion and force of some columns of a record y (n, channels), SI, made as it is asked for."""
     kinds = [model.channels[k].kind for k in columns]
-    return BandLimitedRecord(
+    found = BandLimitedRecord(
         y=y, kinds=kinds, rate_hz=rate_hz, band=model.band, extra=shaft_reaction(model), slow=True,
         undone=anti_alias_response(model, rate_hz), columns=columns,
     )  # fmt: skip
+    return_freed_memory(y)  # all of it has been read
+    return found
 
 
 def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
