@@ -45,8 +45,9 @@ def severity(
     people: list[Any] = [cells_table(*severity_rows(channels)), ""]
     if (rows := band_rows(channels))[1]:
         people += [cells_table(*rows), ""]
-    people += [f"note: {finding['text']}" for finding in findings]
-    people += void_lines(channels)
+    reasons = void_lines(channels)
+    people += [f"note: {f['text']}" for f in findings if not any(f["text"] in line for line in reasons)]
+    people += reasons
     people += said
     output.result(value | origin(log, rig_path, rig, data), *people, *pages.said())
 

@@ -37,8 +37,9 @@ def _record(record: Json, units: Mapping[str, str]) -> Iterator[str]:
 def _level(level: Json, unit: str) -> str:
     """Rms, peak, crest factor, kurtosis and velocity of a channel, as far as they are known."""
     if level["rms"] is None:
-        return "no samples"
-    said = [f"rms {number(level['rms'])} {unit_text(unit)}".strip(), f"peak {number(level['peak'])}"]
+        return "no number is reliable" if level.get("void") else "no samples"
+    said = [f"rms {number(level['rms'])} {unit_text(unit)}".strip()]
+    said += [f"peak {number(level['peak'])}"] if level["peak"] is not None else []
     said += [f"{key} {level[key]:.1f}" for key in ("crest", "kurtosis") if level[key] is not None]
     if level["velocity_rms_mm_s"] is not None:
         zone = f", zone {level['zone']}" if level.get("zone") else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,12 +97,15 @@ class LayerWatch:
             self._thread.join()
         y = self._kept.samples(window * rows, (window + 1) * rows)
         self._thread = threading.Thread(
-            target=self._survey, args=(y, self._kept.rate_hz, window), name="layer watch", daemon=True
+            target=self._survey,
+            args=(y, self._kept.rate_hz, window, self._kept.full_scale),
+            name="layer watch",
+            daemon=True,
         )
         self._thread.start()
 
-    def _survey(self, y: NDArray[np.float64], rate_hz: float, window: int) -> None:
-        """Say what is new in a window. window : its number."""
+    def _survey(self, y: NDArray[np.float64], rate_hz: float, window: int, full_scale: Mapping[str, int]) -> None:
+        """Say what is new in a window. window : its number. full_scale : channel -> its samples that are left out."""
         from estimator.identification.machine import survey_machine
         from estimator.identification.record import severity, survey_record, without_spikes
         from estimator.identification.structure import survey_structure
@@ -125,7 +128,7 @@ class LayerWatch:
             self._say("info", TONES_FOUND, f"tones from {when}: " + "; ".join(map(tone_text, tones)))
         if self._structure is None or window % STRUCTURE_EVERY == 0:
             self._structure = survey_structure(self._model, y, rate_hz, record, machine)
-        levels = severity(self._model, y, rate_hz, record)
+        levels = severity(self._model, y, rate_hz, record, full_scale)
         seen = {
             "record": with_severity(record.to_json(), levels),
             "machine": told,

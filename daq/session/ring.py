@@ -86,6 +86,7 @@ class KeptSamples:
         self._info: Info | None = None
         self.rate_hz = 1.0
         self.stop = 0  # absolute index behind the last sample
+        self.full_scale: dict[str, int] = {}  # channel -> samples at full scale in what was asked for last
 
     def begin(self, info: Info) -> None:
         """Forget everything: the device has said anew what it is."""
@@ -108,7 +109,7 @@ class KeptSamples:
         out = np.full((stop - first, len(wanted)), np.nan)
         if self._info is None:
             return out
-        scaling = Scaling(self._info, columns)
+        scaling, hits = Scaling(self._info, columns), np.zeros(len(wanted), np.int64)
         for block in self._blocks:
             low, high = max(first, block.index), min(stop, block.index + len(block.counts))
             if low < high:
@@ -117,5 +118,7 @@ class KeptSamples:
                 clipped = scaling.clipped(counts)
                 if clipped is not None:
                     rows[clipped] = np.nan
+                    hits += clipped.sum(axis=0)
                 out[low - first : high - first] = rows
+        self.full_scale = {name: int(n) for name, n in zip(wanted, hits, strict=True) if n}
         return out
