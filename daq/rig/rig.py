@@ -175,7 +175,7 @@ def load_rig(path: str | Path) -> Rig:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such rig file; check the path, or begin from one of configs/") from error
+        raise ConfigError(f"{path}: no such rig file; check the path, or make one: rotorscope init") from error
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a UTF-8 text"
         raise ConfigError(f"{path}: cannot be read as a rig file: {reason}; give a TOML file") from error
