@@ -160,7 +160,7 @@ def _with_background(full: FullFit, model: Model, y: Array, rate_hz: float) -> F
 
 
 def _background_messages(model: Model) -> tuple[Message, ...]:
-    """Remarks on structural modes and on a force that is not white, both part of the fit."""
+    """Remarks on structural modes and on the spectrum of the force, both part of the fit."""
     at = {} if model.background is None else model.background.at
     modes = {place: ", ".join(f"{m.frequency_hz:.0f}" for m in own.modes) for place, own in at.items() if own.modes}
     swing = {place: 10.0 * float(np.log10(own.psd_rel.max() / own.psd_rel.min())) for place, own in at.items()}
@@ -171,7 +171,7 @@ def _background_messages(model: Model) -> tuple[Message, ...]:
         out.append(Message("structural_modes", f"structural modes beside the bearings are part of the fit: {listed}"))
     if uneven:
         listed = ", ".join(f"{place} by {db:.0f} dB" for place, db in uneven.items())
-        out.append(Message("force_not_white", f"the force is not white, its spectrum varies along the band: {listed}"))
+        out.append(Message("force_spectrum", f"the spectrum of the force is part of the fit, it is not white: {listed}"))
     return tuple(out)
 
 
