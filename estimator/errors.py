@@ -7,6 +7,22 @@ class DataError(ValueError):
     """The record cannot answer the question. The message is one line: what, where (channel, sample), what to do."""
 
 
+class NoResonanceError(DataError):
+    """The fit finds no resonance of a place in the band.
+
+    Parameters
+    ----------
+    text : str
+        One line.
+    place : str
+        Location, such as ``"bearing1.x"``.
+    """
+
+    def __init__(self, text: str, place: str) -> None:
+        super().__init__(text)
+        self.place = place
+
+
 class NotFiniteError(DataError):
     """The force of a law is not finite somewhere along the measured motion.
 

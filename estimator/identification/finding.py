@@ -11,6 +11,7 @@ from estimator.model.rig import EffectUse, Setting
 from estimator.results import Parameter
 
 MAX_P_VALUE = 1e-3  # of a finding that counts as missing force
+OTHER_BEARING = "other_bearing"  # coordinate of a finding that two bearings share
 UNKNOWN_EFFECT = "unknown"  # effect of a finding that nothing of the catalogue explains
 
 

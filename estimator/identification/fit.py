@@ -10,7 +10,8 @@ from estimator.arrays import Array
 from estimator.model.rig import Model
 from estimator.results import Fit
 
-from .judgeable import judgeable_record, survey_layers
+from .judgeable import on_judgeable_record, survey_layers
+from .record import UsableRecord
 
 Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 
@@ -54,10 +55,13 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     >>> abs(stiffness.value - 1.0e7) < 4.0 * stiffness.sd
     True
     """
-    usable = judgeable_record(model, y, survey_layers(model, y, rate_hz))
-    result = _FIT_METHODS[method](usable.model, usable.y, rate_hz)
-    parameters = dict(result.parameters) | dict(usable.parameters)
-    return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))
+
+    def fitted(usable: UsableRecord) -> Fit:
+        result = _FIT_METHODS[method](usable.model, usable.y, rate_hz)
+        parameters = dict(result.parameters) | dict(usable.parameters)
+        return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))
+
+    return on_judgeable_record(model, y, survey_layers(model, y, rate_hz), fitted)
 
 
 def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:

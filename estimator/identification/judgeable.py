@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TypeVar
 
 from estimator.arrays import Array, return_freed_memory
-from estimator.errors import DataError
+from estimator.errors import DataError, NoResonanceError
 from estimator.model.rig import MOTION_UNITS, Model
 
 from .machine import MachineSurvey, joined_bands, survey_machine
 from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
 from .structure import StructureSurvey, bearing_mode, survey_structure
 
+T = TypeVar("T")
+NO_PLACES: Mapping[str, str] = MappingProxyType({})
 NO_BEARING_MODE = "no_bearing_mode"  # code: no mode of a place can be the bearing's
 
 
@@ -45,18 +50,38 @@ def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
     return Layers(record=record, machine=machine, structure=structure)
 
 
-def judgeable_record(model: Model, y: Array, layers: Layers) -> UsableRecord:
+def on_judgeable_record(
+    model: Model, y: Array, layers: Layers, use: Callable[[UsableRecord], T], refused: Mapping[str, str] = NO_PLACES
+) -> T:
+    """The answer of a function of the judgeable record; a place where its fit finds no resonance is left out.
+
+    y : (n, channels), SI. refused : places that are not judged, and why. Raises DataError as `judgeable_record` does.
+    """
+    refused = dict(refused)
+    while True:
+        try:
+            return use(judgeable_record(model, y, layers, refused))
+        except NoResonanceError as problem:
+            if problem.place in refused:
+                raise
+            refused[problem.place] = str(problem)
+
+
+def judgeable_record(
+    model: Model, y: Array, layers: Layers, refused: Mapping[str, str] = NO_PLACES
+) -> UsableRecord:  # fmt: skip
     """The record without condemned channels, and without places where no mode can be the bearing's, with its lines.
 
-    y : (n, channels), SI. Raises DataError, one line, where no place is left: a faulty channel first, and why the
-    first sound place is not judged.
+    y : (n, channels), SI. refused : further places that are not judged, and why. Raises DataError, one line, where no
+    place is left: a faulty channel first, and why the first sound place is not judged.
     """
     moving = [c for c in model.channels if c.kind in MOTION_UNITS]
     channels_of = {p: tuple(c.name for c in moving if c.place == p) for p in model.places}
     sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
     found = []
     for place, channels in sound.items():
-        reason = bearing_mode(layers.structure, place, mass_known=model.cap_mass(place) is not None)
+        known = model.cap_mass(place) is not None
+        reason = refused.get(place) or bearing_mode(layers.structure, place, mass_known=known)
         if isinstance(reason, str):
             own = RecordFinding(
                 code=NO_BEARING_MODE, channels=channels, text=reason, places=(place,), condemned=channels

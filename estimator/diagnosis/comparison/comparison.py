@@ -8,7 +8,8 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.judgeable import judgeable_record, survey_layers
+from estimator.identification.judgeable import on_judgeable_record, survey_layers
+from estimator.identification.record import UsableRecord
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.model.rig import Model
@@ -116,7 +117,12 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
 def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Comparison:
     """Fit the model, then survey, free run, twin and curves."""
     say(0.0, "fit")
-    usable = judgeable_record(model, y, survey_layers(model, y, rate_hz))
+    layers = survey_layers(model, y, rate_hz)
+    return on_judgeable_record(model, y, layers, lambda usable: _of_usable(usable, rate_hz, say))
+
+
+def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Comparison:
+    """The comparison of a record whose channels are sound."""
     model, y = usable.model, usable.y
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point

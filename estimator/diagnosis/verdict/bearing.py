@@ -126,7 +126,7 @@ def judge_bearing(
     survey = survey or survey_bearing(model, point, y)[0]
     found = rank_on_part(model, survey, say)
     if survey.adequate:
-        mistaken = None if point.data.background is None else _mistaken(model, y, rate_hz, survey, refused)
+        mistaken = None if point.data.background is None else judged_mistake(model, y, rate_hz, survey, refused)
         if mistaken is not None:
             return replace(mistaken, ranking=(*mistaken.ranking, *found.entries))
         return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
@@ -137,7 +137,7 @@ def judge_bearing(
     named = [e for e in entries if e.passed]
     if not (named and named[0].placed):
         say(0.92, "a mistake in the rig file?")
-        if (mistaken := _mistaken(model, y, rate_hz, survey, refused)) is not None:
+        if (mistaken := judged_mistake(model, y, rate_hz, survey, refused)) is not None:
             return replace(mistaken, ranking=(*mistaken.ranking, *entries))
     entries += tones
     if not named:
@@ -228,20 +228,15 @@ def _leaves_message(entry: Entry) -> Message:
     return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {100 * (_left(entry) or 0.0):.0f} % of it")
 
 
-def _mistaken(
+def judged_mistake(
     model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, refused: frozenset[str] = frozenset()
 ) -> BearingJudgement | None:
-    """The judgement that the rig file has a mistake; None where none explains the record, or it is refused."""
+    """The judgement that the rig file has a mistake; None where none explains the record, or it is refused.
+
+    y : (n, channels) float64, samples, SI. survey : what the model leaves over; None where it cannot be fitted.
+    """
     found = None if RIG_FILE in refused else mistake_entry(model, y, rate_hz, survey)
     return None if found is None else BearingJudgement(RIG_FILE, (found[0],), messages=(found[1],))
-
-
-def judge_unfitted(model: Model, y: Array, rate_hz: float, reason: str) -> BearingJudgement:
-    """The judgement where the model cannot be fitted: a mistake in the rig file, or why the bearings are not judged.
-
-    y : (n, channels) float64, samples, SI. reason : one line.
-    """
-    return _mistaken(model, y, rate_hz, None) or BearingJudgement.not_judged(reason)
 
 
 def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:

@@ -10,19 +10,19 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
-from estimator.effects import NAMED
+from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
-from estimator.errors import DataError
+from estimator.errors import DataError, NoResonanceError
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.judgeable import Layers, judgeable_record, survey_layers
+from estimator.identification.judgeable import Layers, judgeable_record, on_judgeable_record, survey_layers
 from estimator.identification.machine import MachineSurvey
-from estimator.identification.record import RecordSurvey, record_messages
+from estimator.identification.record import RecordSurvey, UsableRecord, record_messages
 from estimator.identification.structure import StructureSurvey
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, judge_bearing, judge_unfitted, quiet
+from .bearing import BearingJudgement, judge_bearing, judged_mistake, quiet
 from .clipped import with_clipped_channels
 from .signal_findings import (
     line_entries,
@@ -135,17 +135,24 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
     y : (n, channels), SI. layers : those before. say : progress.
     """
     say(0.0, "fit of the model as it is")
-    try:
-        usable = judgeable_record(model, y, layers)
-    except DataError as problem:
-        return with_clipped_channels(BearingJudgement.not_judged(str(problem)), model, y, layers.record)
-    try:
+
+    def judged(usable: UsableRecord) -> BearingJudgement:
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
         surroundings = tones_of_surroundings(layers.record, layers.machine)
         found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
-        found = replace(found, messages=(*found.messages, *whole.messages))
+        return replace(found, messages=(*found.messages, *usable.messages, *whole.messages))
+
+    try:
+        usable = judgeable_record(model, y, layers)
+        try:
+            found = judged(usable)
+        except NoResonanceError as problem:
+            say(0.1, "a mistake in the rig file?")
+            mistaken = judged_mistake(usable.model, usable.y, rate_hz, None)
+            refused = {problem.place: str(problem)}
+            found = mistaken or on_judgeable_record(model, y, layers, judged, refused)
     except DataError as problem:
-        found = judge_unfitted(usable.model, usable.y, rate_hz, str(problem))
+        found = BearingJudgement.not_judged(str(problem))
     return with_clipped_channels(found, model, y, layers.record)
 
 
@@ -155,7 +162,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
     shaft's angle, which modulates the vibration at its own order. Imbalance and misalignment go before what is only the
     trace of a tone. A line is named only where no model of the bearings explains the record. A wrong speed or rate in
-    the rig file is named where nothing is missing, or nothing that has a name.
+    the rig file is named where nothing is missing, or nothing but a line has a name.
     """
     record, machine = layers.record, layers.machine
     there = {use.name for use in model.effects}
@@ -166,7 +173,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)
     verdict = bearing.verdict if keeps or first is None else first.effect
-    mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown") else None
+    mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown", *LINE_NAMES) else None
     if mistaken is not None:
         verdict = RIG_FILE
         bearing = replace(bearing, ranking=(mistaken[0], *bearing.ranking), messages=(mistaken[1], *bearing.messages))

@@ -16,7 +16,8 @@ from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.finding import effect_use
-from estimator.identification.judgeable import judgeable_record, survey_layers
+from estimator.identification.judgeable import Layers, on_judgeable_record, survey_layers
+from estimator.identification.record import UsableRecord
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -121,9 +122,17 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     ('complete', 1)
     """
     layers = survey_layers(model, y, rate_hz)
-    usable = judgeable_record(model, y, layers)
+    return on_judgeable_record(
+        model, y, layers, lambda usable: _of_usable(model, y, rate_hz, layers, usable, progress or quiet)
+    )
+
+
+def _of_usable(
+    model: Model, y: Array, rate_hz: float, layers: Layers, usable: UsableRecord, say: Progress
+) -> Improvement:
+    """The improvement of a record whose channels are sound. model, y : with all channels."""
     surroundings = tones_of_surroundings(layers.record, layers.machine)
-    found = improvement(usable.model, usable.y, rate_hz, progress or quiet, refused=surroundings)
+    found = improvement(usable.model, usable.y, rate_hz, say, refused=surroundings)
     known = [use for use in model.effects if found_by(use.name) == "samples"]
     rungs = [replace(r, effects=(*r.effects, *(use.name for use in known))) for r in found.rungs]
     named = with_clipped_channels(found.last, model, y, layers.record)

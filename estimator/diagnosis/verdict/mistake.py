@@ -13,6 +13,7 @@ from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
+from estimator.identification.finding import OTHER_BEARING
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message
 
@@ -44,11 +45,23 @@ def mistake_entry(
             whole = fit_all_effects(corrected, y, rate_hz)
             left = survey_bearing(whole.model, whole.point, y)[0]
             after = left.missing.interval()[0]
-            if not left.adequate and (before is None or after > THRESHOLDS.max_left_rel * before):
+            if not left.adequate and not _explains(survey, left):
                 return None
     except (DataError, NotFiniteError, np.linalg.LinAlgError):
         return None
     return _entry(mistake, model, before, after), Message(RIG_FILE, _text(mistake, model))
+
+
+def _explains(survey: BearingSurvey | None, left: BearingSurvey) -> bool:
+    """Whether the corrected rig leaves a fifth of the missing force, or no force that the other bearing predicts.
+
+    A corrected rig that can be fitted, where the given one cannot, explains that much.
+    """
+    if survey is None:
+        return True
+    before, after = survey.missing, left.missing
+    coupled = [any(d.against == OTHER_BEARING for d in one.disturbances) for one in (before, after)]
+    return after.interval()[0] <= THRESHOLDS.max_left_rel * before.interval()[0] or coupled == [True, False]
 
 
 def _entry(mistake: Mistake, model: Model, before: float | None, after: float | None) -> Entry:

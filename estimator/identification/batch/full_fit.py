@@ -15,7 +15,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
-from estimator.errors import DataError, NotFiniteError
+from estimator.errors import NoResonanceError, NotFiniteError
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.search import search
@@ -171,7 +171,9 @@ def _background_messages(model: Model) -> tuple[Message, ...]:
         out.append(Message("structural_modes", f"structural modes beside the bearings are part of the fit: {listed}"))
     if uneven:
         listed = ", ".join(f"{place} by {db:.0f} dB" for place, db in uneven.items())
-        out.append(Message("force_spectrum", f"the spectrum of the force is part of the fit, it is not white: {listed}"))
+        out.append(
+            Message("force_spectrum", f"the spectrum of the force is part of the fit, it is not white: {listed}")
+        )
     return tuple(out)
 
 
@@ -201,7 +203,7 @@ def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, floa
 
 
 def _refuse_without_resonance(point: WorkingPoint) -> None:
-    """Raise DataError if a place does not resonate in the band."""
+    """Raise NoResonanceError if a place does not resonate in the band."""
     for place, mean in _mean_oscillators(point).items():
         refuse_without_resonance(place, *mean)
 
@@ -214,12 +216,13 @@ def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
 
 
 def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
-    """Raise DataError if a place of m (kg), c (N s/m), kL (N/m) does not resonate inside the band (Hz)."""
+    """Raise NoResonanceError if a place of m (kg), c (N s/m), kL (N/m) does not resonate inside the band (Hz)."""
     if not resonates(m, c, kL, band):
         low, high = band
-        raise DataError(
-            f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
-            "and check that the channel is the bearing's"
+        raise NoResonanceError(
+            f"no resonance of {place} inside the band {low:g}-{high:g} Hz is the bearing's by the fit: choose a band "
+            "around the bearing resonance alone, and check that the channel is the bearing's",
+            place,
         )
 
 

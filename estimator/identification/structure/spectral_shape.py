@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from estimator.arrays import Array
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
-from estimator.identification.finding import UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
+from estimator.identification.finding import OTHER_BEARING, UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.whitening.sensor_noise import force_correlation
@@ -234,7 +234,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
                 dof=1,
                 p_value=p,
                 power_N2=power,
-                against="other_bearing",
+                against=OTHER_BEARING,
                 region=f"the forces at {place} and {data.places[j]} are correlated by {100 * rho:.0f} %",
                 settings={place: {"rho": Parameter(rho, float(sd), "1")}},
                 note=CORRELATED_FORCE.distinguish,
