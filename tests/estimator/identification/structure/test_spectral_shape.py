@@ -44,7 +44,7 @@ def test_a_force_with_a_peak_is_a_background_and_no_effect(hz: float, quality: f
     peaked = y[:, 0] + height * lfilter(*iirpeak(hz, quality, fs=RATE), y[:, 0])
     found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
     assert found.verdict == "complete"
-    assert any(m.code == "force_not_white" and "bearing1.x" in m.text for m in found.messages)
+    assert any(m.code == "force_spectrum" and "bearing1.x" in m.text for m in found.messages)
 
 
 def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> None:
@@ -72,7 +72,7 @@ def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
     y = simulate(rig, RATE, 12.0, seed=0, noise=0.0) + 1.7 * lfilter(*iirpeak(2400.0, 2.0, fs=RATE), one, axis=0)
     found = diagnose(replace(rig, linear={}), y, RATE)
     assert found.verdict == "unknown"
-    assert any(m.code == "force_not_white" and "bearing1.x" in m.text for m in found.messages)
+    assert any(m.code == "force_spectrum" and "bearing1.x" in m.text for m in found.messages)
 
 
 def test_a_law_that_bends_the_spectrum_goes_before_a_background() -> None:
