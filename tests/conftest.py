@@ -28,6 +28,7 @@ def pytest_runtest_makereport(item, call):  # type: ignore[no-untyped-def]  # no
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """The row of a test that says what it promises; of one with parameters once."""
+    os.environ.pop("COLUMNS", None)  # readline sets it: a pipe is as wide as it is without
     first = not any(getattr(getattr(item, "callspec", None), "indices", {}).values())
     for mark in item.iter_markers("promise"):
         row = ("reliability", " | ".join([*mark.args, "held"]))

@@ -148,7 +148,7 @@ def test_a_pickle_is_refused(tmp_path: Path) -> None:
             return eval, (f"open({str(tmp_path / 'owned')!r}, 'w')",)
 
     np.savez(tmp_path / "a.npz", b1x=np.array([Evil()], dtype=object))
-    with pytest.raises(LogError, match="allow_pickle=False"):
+    with pytest.raises(LogError, match="holds Python objects"):
         read(tmp_path / "a.npz", ["b1x"])
     assert not (tmp_path / "owned").exists()
 
