@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 
 class DataError(ValueError):
     """The record cannot answer the question. The message is one line: what, where (channel, sample), what to do."""
+
+
+class DivergedError(DataError, np.linalg.LinAlgError):
+    """A fit leaves the rotor: its equations have no solution."""
+
+    def __init__(self) -> None:
+        super().__init__("the fit of the model diverges: check the masses and the band in the rig file")
 
 
 class NoResonanceError(DataError):

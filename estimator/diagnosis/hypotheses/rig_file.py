@@ -367,7 +367,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         given = max(given, again, key=lambda fit: fit.nats)
     least = THRESHOLDS.rival_nats * best.fit.dispersion * spectra.cost_nats / MIN_GAIN_NATS
     gain = best.fit.nats - given.nats
-    if gain < least or not _is_away_from_one(best.values):
+    if gain < least or not _is_slip(best.values):
         return None
     rivals = {
         t.hypothesis.name: t.hypothesis.text(model, t.values)
@@ -386,6 +386,10 @@ def _explains_coherence(given: RigFit, changed: RigFit) -> bool:
     return changed.coherence_nats <= THRESHOLDS.coherence_max_left_rel * given.coherence_nats
 
 
-def _is_away_from_one(values: Values) -> bool:
-    """Whether a factor differs from one by more than instruments and its standard deviation allow."""
-    return not values or abs(np.log(values[0])) > max(MIN_FACTOR_LOG, MIN_FACTOR_SD * values[1])
+def _is_slip(values: Values) -> bool:
+    """Whether a factor differs from one by more than instruments and its standard deviation allow, and is a slip."""
+    if not values:
+        return True
+    size = abs(float(np.log(values[0])))
+    least, most = max(MIN_FACTOR_LOG, MIN_FACTOR_SD * values[1]), float(np.log(max(TRIAL_FACTORS))) + MIN_FACTOR_LOG
+    return least < size < most

@@ -12,7 +12,7 @@ from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.errors import NotFiniteError
+from estimator.errors import DivergedError, NotFiniteError
 from estimator.identification.batch.full_fit import FullFit
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -280,7 +280,7 @@ def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
             continue
         try:
             both = fit_model(part.data, [*part.placed, *one.placed, *other.placed], start=part)
-        except NotFiniteError:
+        except (NotFiniteError, DivergedError):
             continue
         left = missing_force.survey(both, context.model, only=before.places_found())
         if left_of_own_state(before, left, one) <= THRESHOLDS.max_left_rel:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from estimator.arrays import Array, Complexes
+from estimator.errors import DivergedError
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.likelihood.whitening.determinant import Jacobian
@@ -263,9 +264,15 @@ def _is_positive(H: Array) -> bool:
 
 
 def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
-    """H^-1 g, eigenvalues relative to the diagonal at least 1e-6; nothing along those below `min_information`."""
+    """H^-1 g, eigenvalues relative to the diagonal at least 1e-6; nothing along those below `min_information`.
+
+    Raises DivergedError where H is not finite.
+    """
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
-    e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
+    try:
+        e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
+    except np.linalg.LinAlgError:
+        raise DivergedError from None
     e = np.where(np.abs(e) < min_information, np.inf, np.maximum(np.abs(e), 1e-6))
     return np.asarray(d * (U @ ((U.T @ (d * g)) / e)))
 
