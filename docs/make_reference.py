@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-DOCS = Path(__file__).resolve().parent
+DOCS_FOLDER = Path(__file__).resolve().parent
 MAX_ENUM = 12  # values that are listed
 
 
@@ -42,7 +42,7 @@ def commands_page() -> str:
 
 def rig_page() -> str:
     """Every table and key of a rig file."""
-    schema = json.loads((DOCS / "rig.schema.json").read_text("utf-8"))
+    schema = json.loads((DOCS_FOLDER / "rig.schema.json").read_text("utf-8"))
     lines = [
         "# The rig file, key by key",
         "",
@@ -115,6 +115,6 @@ def pages() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(DOCS.parent))
+    sys.path.insert(0, str(DOCS_FOLDER.parent))
     for name, text in pages().items():
-        (DOCS / name).write_text(text, "utf-8")
+        (DOCS_FOLDER / name).write_text(text, "utf-8")

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 
 class DataError(ValueError):
     """The record cannot answer the question. The message is one line: what, where (channel, sample), what to do."""
-
-
-class DivergedError(DataError, np.linalg.LinAlgError):
-    """A fit leaves the rotor: its equations have no solution."""
-
-    def __init__(self) -> None:
-        super().__init__("the fit of the model diverges: check the masses and the band in the rig file")
 
 
 class NoResonanceError(DataError):
@@ -33,6 +24,17 @@ class NoResonanceError(DataError):
 
 
 class NotFiniteError(DataError):
+    """A force or a fit is not finite along the measured motion."""
+
+
+class DivergedError(NotFiniteError):
+    """The equations of a fit have no solution."""
+
+    def __init__(self) -> None:
+        super().__init__("the fit of the model diverges: check the masses and the band in the rig file")
+
+
+class LawNotFiniteError(NotFiniteError):
     """The force of a law is not finite somewhere along the measured motion.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,8 +49,7 @@ def measured(spectra: Json) -> str | None:
     figure, axes = grid_of(list(spectra), height=2.9)
     for ax, (channel, s) in zip(axes, spectra.items(), strict=False):
         f, psd = floats(s["frequency_hz"]), floats(s["psd"])
-        ax.loglog(f, np.where(psd > 0, psd, np.nan), color=MEASURED_COLOUR, linewidth=0.7)
-        _room_above(ax, psd)
+        _draw(ax, ax.loglog, f, psd)
         decade_ticks(ax)
         ax.set_xlim(f[0], f[-1])
         label_marks(ax, s["marks"], log=True)
@@ -65,8 +64,7 @@ def envelopes(spectra: Json) -> str | None:
     figure, axes = grid_of(list(spectra), height=2.9)
     for ax, (channel, s) in zip(axes, spectra.items(), strict=False):
         f, psd = floats(s["frequency_hz"]), floats(s["psd"])
-        ax.semilogy(f, np.where(psd > 0, psd, np.nan), color=MEASURED_COLOUR, linewidth=0.7)
-        _room_above(ax, psd)
+        _draw(ax, ax.semilogy, f, psd)
         ax.set_xlim(0, f[-1])
         marks = [(k * hz, name if k == 1 else f"{k}×{name}") for hz, name in s["marks"] for k in _multiples(name)]
         label_marks(ax, sorted(m for m in marks if m[0] <= f[-1]))
@@ -87,8 +85,7 @@ def orders(spectra: Json) -> str | None:
     figure, axes = grid_of(list(spectra), height=2.9)
     for ax, (channel, s) in zip(axes, spectra.items(), strict=False):
         order, amplitude = floats(s["order"]), floats(s["amplitude"])
-        ax.semilogy(order, np.where(amplitude > 0, amplitude, np.nan), color=MEASURED_COLOUR, linewidth=0.7)
-        _room_above(ax, amplitude)
+        _draw(ax, ax.semilogy, order, amplitude)
         ax.set_xlim(0, order[-1])
         label_marks(ax, s["marks"])
         label_axes(ax, "order of the shaft", f"amplitude, {unit_text(s['unit'])}", channel)
@@ -122,6 +119,12 @@ def level_range(level: NDArray[np.float64]) -> tuple[float, float]:
         return -1.0, 0.0
     high = float(np.quantile(there, 0.999))
     return max(high - 60.0, float(np.quantile(there, 0.02))), high
+
+
+def _draw(ax: Axes, plot: Callable[..., object], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """A measured line on a logarithmic axis: zeros are left out, and marks have room above it."""
+    plot(x, np.where(y > 0, y, np.nan), color=MEASURED_COLOUR, linewidth=0.7)
+    _room_above(ax, y)
 
 
 def _room_above(ax: Axes, psd: Any) -> None:

@@ -67,9 +67,7 @@ def on_judgeable_record(
             refused[problem.place] = str(problem)
 
 
-def judgeable_record(
-    model: Model, y: Array, layers: Layers, refused: Mapping[str, str] = NO_PLACES
-) -> UsableRecord:  # fmt: skip
+def judgeable_record(model: Model, y: Array, layers: Layers, refused: Mapping[str, str] = NO_PLACES) -> UsableRecord:
     """The record without condemned channels, and without places where no mode can be the bearing's, with its lines.
 
     y : (n, channels), SI. refused : further places that are not judged, and why. Raises DataError, one line, where no

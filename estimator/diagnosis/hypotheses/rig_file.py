@@ -24,7 +24,6 @@ from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
 from estimator.errors import ModelError
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.unknown_mass import places_without_mass
-from estimator.identification.structure.background_search import MIN_GAIN_NATS
 from estimator.identification.structure.rig_spectra import Arrangement, RigFit, RigSpectra
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -67,7 +66,7 @@ class Hypothesis(Protocol):
 
     def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
         """Where the channels are with the change. places : of the channels as given."""
-        ...
+        return channels
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         """What the rig file would say, by key."""
@@ -79,7 +78,7 @@ class Hypothesis(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class ScaledMass:
+class ScaledMass(Hypothesis):
     """The mass of the disc or of a cap is another one. key : of [rig.mass]."""
 
     key: str
@@ -94,9 +93,6 @@ class ScaledMass:
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
 
-    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        return channels
-
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         mass = values[0] * model.mass[self.key]
         return {self.name: Parameter.from_estimate(mass, values[1] * mass, "kg")}
@@ -106,7 +102,7 @@ class ScaledMass:
 
 
 @dataclass(frozen=True, slots=True)
-class ScaledSpring:
+class ScaledSpring(Hypothesis):
     """The shaft has another stiffness."""
 
     name: str = "rig.shaft_spring.stiffness"
@@ -116,9 +112,6 @@ class ScaledSpring:
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
-
-    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        return channels
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         stiffness = values[0] * model.shaft_stiffness
@@ -229,8 +222,6 @@ class Mistake:
     ----------
     hypothesis, values : Hypothesis, tuple of float
         What is changed, and to what.
-    model : Model
-        With the change.
     gain_nats : float
         Log-likelihood gained by the change, less what structural modes cost.
     rivals : tuple of str
@@ -239,7 +230,6 @@ class Mistake:
 
     hypothesis: Hypothesis
     values: Values
-    model: Model
     gain_nats: float
     rivals: tuple[str, ...] = ()
 
@@ -258,7 +248,6 @@ class _Trials:
 
     def __init__(self, model: Model, point: WorkingPoint) -> None:
         self.model, self.spectra = model, RigSpectra(model, point)
-        self.cost = self.spectra.cost_nats
 
     def screened(self, asked: Sequence[Hypothesis], start: RigFit | None) -> list[_Trial]:
         """The likeliest hypotheses with the modes of another fit, or without modes, each with its likeliest value."""
@@ -283,8 +272,9 @@ class _Trials:
     def searched_in_turn(self, trials: Sequence[_Trial]) -> list[_Trial]:
         """Hypotheses with modes of their own, the likeliest first; once one explains the spectra, its rivals only."""
         found: list[_Trial] = []
+        reach = RIVAL_COSTS * self.spectra.cost_nats
         for trial in trials:
-            if not found or not found[0].fit.explains or trial.fit.nats > found[0].fit.nats - RIVAL_COSTS * self.cost:
+            if not found or not found[0].fit.explains or trial.fit.nats > found[0].fit.nats - reach:
                 found = sorted([*found, self.searched(trial)], key=lambda t: -t.fit.nats)
         return found
 
@@ -322,8 +312,9 @@ class _Trials:
         sd = FACTOR_STEP_LOG / np.sqrt(2.0 * max(fall, MIN_FALL_NATS))
         values = float(np.exp(ln_factor)), float(sd)
         found = self.tried(trial.hypothesis, values, trial.fit)
-        better = found is not None and found.fit.nats > trial.fit.nats
-        return found if better and found is not None else replace(trial, values=(trial.values[0], float(sd)))
+        if found is not None and found.fit.nats > trial.fit.nats:
+            return found
+        return replace(trial, values=(trial.values[0], float(sd)))
 
 
 def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
@@ -365,7 +356,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
     with suppress(np.linalg.LinAlgError):
         again = spectra.without_idle_modes(spectra.searched(model, spectra.as_given, best.fit))
         given = max(given, again, key=lambda fit: fit.nats)
-    least = THRESHOLDS.rival_nats * best.fit.dispersion * spectra.cost_nats / MIN_GAIN_NATS
+    least = THRESHOLDS.rival_nats * best.fit.dispersion * spectra.dispersion
     gain = best.fit.nats - given.nats
     if gain < least or not _is_slip(best.values):
         return None
@@ -374,8 +365,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         for t in found[1:] if t.hypothesis.name != best.hypothesis.name and t.fit.nats > best.fit.nats - least
     }  # fmt: skip
     return Mistake(
-        hypothesis=best.hypothesis, values=best.values, model=best.hypothesis.apply(model, best.values),
-        gain_nats=gain, rivals=tuple(rivals.values()),
+        hypothesis=best.hypothesis, values=best.values, gain_nats=gain, rivals=tuple(rivals.values())
     )  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -12,8 +14,9 @@ from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.errors import DivergedError, NotFiniteError
+from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit
+from estimator.identification.finding import OTHER_BEARING
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -23,7 +26,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 
 from .gates import Context, judged
 from .joint_fit import left_of_own_state
-from .mistake import mistake_entry
+from .mistake import explaining_mistake
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -122,13 +125,12 @@ def judge_bearing(
         Of this model, if it is known.
     """
     say(0.15, "what can still be predicted")
-    rate_hz = point.data.rate_hz
     survey = survey or survey_bearing(model, point, y)[0]
     found = rank_on_part(model, survey, say)
+    mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused)
     if survey.adequate:
-        mistaken = None if point.data.background is None else judged_mistake(model, y, rate_hz, survey, refused)
-        if mistaken is not None:
-            return replace(mistaken, ranking=(*mistaken.ranking, *found.entries))
+        if point.data.background is not None and (mistaken := mistake(entries=found.entries)) is not None:
+            return mistaken
         return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
@@ -137,8 +139,8 @@ def judge_bearing(
     named = [e for e in entries if e.passed]
     if not (named and named[0].placed):
         say(0.92, "a mistake in the rig file?")
-        if (mistaken := judged_mistake(model, y, rate_hz, survey, refused)) is not None:
-            return replace(mistaken, ranking=(*mistaken.ranking, *entries))
+        if (mistaken := mistake(entries=entries)) is not None:
+            return mistaken
     entries += tones
     if not named:
         return _unknown(context, entries)
@@ -229,14 +231,16 @@ def _leaves_message(entry: Entry) -> Message:
 
 
 def judged_mistake(
-    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, refused: frozenset[str] = frozenset()
-) -> BearingJudgement | None:
+    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, *,
+    refused: frozenset[str] = frozenset(), entries: Sequence[Entry] = (),
+) -> BearingJudgement | None:  # fmt: skip
     """The judgement that the rig file has a mistake; None where none explains the record, or it is refused.
 
     y : (n, channels) float64, samples, SI. survey : what the model leaves over; None where it cannot be fitted.
+    refused : effects that are not to be named. entries : other candidates.
     """
-    found = None if RIG_FILE in refused else mistake_entry(model, y, rate_hz, survey)
-    return None if found is None else BearingJudgement(RIG_FILE, (found[0],), messages=(found[1],))
+    found = None if RIG_FILE in refused else explaining_mistake(model, y, rate_hz, survey)
+    return None if found is None else BearingJudgement(RIG_FILE, (found[0], *entries), messages=(found[1],))
 
 
 def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
@@ -260,7 +264,7 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
         said.append(Message("none_significant", text))
     said += _regions(before)
     groups = {f.group for r in before.residuals for f in r.found}
-    if "other_bearing" in groups:
+    if OTHER_BEARING in groups:
         said.append(CAPS_COUPLED)
     if not groups and before.disturbances and not point.data.measured_force:  # beside one it is the path that is bent
         said.append(SPECTRUM_UNEXPLAINED)
@@ -280,7 +284,7 @@ def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
             continue
         try:
             both = fit_model(part.data, [*part.placed, *one.placed, *other.placed], start=part)
-        except (NotFiniteError, DivergedError):
+        except NotFiniteError:
             continue
         left = missing_force.survey(both, context.model, only=before.places_found())
         if left_of_own_state(before, left, one) <= THRESHOLDS.max_left_rel:

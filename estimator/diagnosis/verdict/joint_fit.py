@@ -13,7 +13,7 @@ from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import NAMED
-from estimator.errors import DataError, DivergedError, NotFiniteError
+from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.identification.finding import is_cause_of_spectrum
@@ -82,7 +82,7 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     part = survey.part
     try:
         after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=LAW_FIT_ROUNDS)
-    except (NotFiniteError, DivergedError):  # far from the rotor
+    except NotFiniteError:  # far from the rotor
         return JointFit(entry=entry, left_rel=1.0, gain_nats=-np.inf)
     entry, after = at_identifiable_bearings(part, entry, after)
     before = part

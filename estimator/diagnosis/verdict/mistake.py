@@ -9,16 +9,16 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.rig_file import Mistake, likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import likeliest_mistake
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.errors import DataError, NotFiniteError
+from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
 from estimator.identification.finding import OTHER_BEARING
 from estimator.model.rig import Model
-from estimator.results import RIG_FILE, Message
+from estimator.results import RIG_FILE, Message, Parameter
 
 
-def mistake_entry(
+def explaining_mistake(
     model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None
 ) -> tuple[Entry, Message] | None:  # fmt: skip
     """The likeliest mistake in the rig file as a candidate, and what to check; None where none explains the record.
@@ -35,11 +35,11 @@ def mistake_entry(
         What the model leaves over; None where it cannot be fitted.
     """
     bare = replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)))
+    before = after = 0.0 if survey is None else survey.missing.interval()[0]
     try:
         mistake = likeliest_mistake(bare, y, rate_hz)
         if mistake is None:
             return None
-        before, after = (None, None) if survey is None else (survey.missing.interval()[0],) * 2
         if survey is None or not survey.adequate:
             corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
             whole = fit_all_effects(corrected, y, rate_hz)
@@ -47,9 +47,21 @@ def mistake_entry(
             after = left.missing.interval()[0]
             if not left.adequate and not _explains(survey, left):
                 return None
-    except (DataError, NotFiniteError, np.linalg.LinAlgError):
+    except (DataError, np.linalg.LinAlgError):
         return None
-    return _entry(mistake, model, before, after), Message(RIG_FILE, _text(mistake, model))
+    text = "; or ".join([mistake.hypothesis.text(model, mistake.values), *mistake.rivals])
+    parameters = dict(mistake.hypothesis.parameters(model, mistake.values))
+    return mistake_entry(mistake.gain_nats, parameters, before, after), Message(RIG_FILE, text)
+
+
+def mistake_entry(
+    gain_nats: float, parameters: dict[str, Parameter], before_percent: float = 0.0, after_percent: float = 0.0
+) -> Entry:
+    """The candidate of a mistake. parameters : what the rig file would say, by key."""
+    return Entry(
+        effect=RIG_FILE, at=(), gain=gain_nats, heldout_gain=gain_nats, p_value=0.0, before_percent=before_percent,
+        after_percent=after_percent, parameters=parameters, score=gain_nats,
+    )  # fmt: skip
 
 
 def _explains(survey: BearingSurvey | None, left: BearingSurvey) -> bool:
@@ -62,17 +74,3 @@ def _explains(survey: BearingSurvey | None, left: BearingSurvey) -> bool:
     before, after = survey.missing, left.missing
     coupled = [any(d.against == OTHER_BEARING for d in one.disturbances) for one in (before, after)]
     return after.interval()[0] <= THRESHOLDS.max_left_rel * before.interval()[0] or coupled == [True, False]
-
-
-def _entry(mistake: Mistake, model: Model, before: float | None, after: float | None) -> Entry:
-    """The candidate of a ranking."""
-    return Entry(
-        effect=RIG_FILE, at=(), gain=mistake.gain_nats, heldout_gain=mistake.gain_nats, p_value=0.0,
-        before_percent=before or 0.0, after_percent=after or 0.0,
-        parameters=dict(mistake.hypothesis.parameters(model, mistake.values)), score=mistake.gain_nats,
-    )  # fmt: skip
-
-
-def _text(mistake: Mistake, model: Model) -> str:
-    """What to check, with what the record does not tell from it."""
-    return "; or ".join([mistake.hypothesis.text(model, mistake.values), *mistake.rivals])

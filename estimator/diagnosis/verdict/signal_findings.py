@@ -27,6 +27,8 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import RIG_FILE, Message, Parameter
 
+from .mistake import mistake_entry
+
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
@@ -181,11 +183,7 @@ def rig_file_entry(model: Model, machine: MachineSurvey, rate_hz: float) -> tupl
     for message in machine.messages:
         if message.code in named:
             nats = 0.5 * ((speed.value_rpm - model.speed_rpm) / speed.sd_rpm) ** 2
-            entry = Entry(
-                effect=RIG_FILE, at=(), gain=nats, heldout_gain=nats, p_value=0.0, before_percent=0.0,
-                after_percent=0.0, parameters=named[message.code], score=nats,
-            )  # fmt: skip
-            return entry, Message(RIG_FILE, message.text)
+            return mistake_entry(nats, named[message.code]), Message(RIG_FILE, message.text)
     return None
 
 

@@ -171,9 +171,8 @@ def _background_messages(model: Model) -> tuple[Message, ...]:
         out.append(Message("structural_modes", f"structural modes beside the bearings are part of the fit: {listed}"))
     if uneven:
         listed = ", ".join(f"{place} by {db:.0f} dB" for place, db in uneven.items())
-        out.append(
-            Message("force_spectrum", f"the spectrum of the force is part of the fit, it is not white: {listed}")
-        )
+        text = f"the spectrum of the force is part of the fit and varies along the band: {listed}"
+        out.append(Message("force_spectrum", text))
     return tuple(out)
 
 
@@ -189,23 +188,20 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
     return tuple(out)
 
 
-def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
-    """Place -> m (kg), c (N s/m), k (N/m) of the mean response with the disc held, and the band (Hz).
-
-    For places that have no measured force.
-    """
+def stiffness_and_damping_held(point: WorkingPoint) -> tuple[Array, Array]:
+    """(places,) N/m and N s/m of the mean response of each cap with the disc held."""
     data = point.data
-    k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(
-        (0.0, 0.0) if data.disc is None else data.disc.held, (2, 1)
-    )
-    own = () if data.measured_force else range(len(data.places))
-    return {data.places[i]: (float(data.mass[i]), float(c[i]), float(k[i]), data.band) for i in own}
+    held = (0.0, 0.0) if data.disc is None else data.disc.held
+    k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(held, (2, 1))
+    return k, c
 
 
 def _refuse_without_resonance(point: WorkingPoint) -> None:
-    """Raise NoResonanceError if a place does not resonate in the band."""
-    for place, mean in _mean_oscillators(point).items():
-        refuse_without_resonance(place, *mean)
+    """Raise NoResonanceError if a place without a measured force does not resonate in the band."""
+    data = point.data
+    k, c = stiffness_and_damping_held(point)
+    for i, place in enumerate(() if data.measured_force else data.places):
+        refuse_without_resonance(place, float(data.mass[i]), float(c[i]), float(k[i]), data.band)
 
 
 def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
@@ -220,8 +216,8 @@ def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tu
     if not resonates(m, c, kL, band):
         low, high = band
         raise NoResonanceError(
-            f"no resonance of {place} inside the band {low:g}-{high:g} Hz is the bearing's by the fit: choose a band "
-            "around the bearing resonance alone, and check that the channel is the bearing's",
+            f"the fit finds no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the "
+            "resonance of the bearing alone, and check that the channel is the bearing's",
             place,
         )
 

@@ -312,9 +312,10 @@ class RollingEstimator:
         motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
         data = self._record(follower, motion, self._margin)
         if data is not None and data.blocks >= START_BLOCKS // 2:
-            follower.renew_anchor(in_time_folds(data))
+            data = in_time_folds(data)
+            follower.renew_anchor(data)
             if self._margin:
-                self._calm = record_denoising_filter(in_time_folds(data), follower.anchor.nu, follower.anchor.S)
+                self._calm = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)
 
 
 def _sensor_gains(model: Model) -> Array:

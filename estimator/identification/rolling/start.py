@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.identification.batch.full_fit import refuse_without_resonance
+from estimator.identification.batch.full_fit import refuse_without_resonance, stiffness_and_damping_held
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
@@ -71,8 +69,7 @@ def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
 def _check(point: WorkingPoint) -> None:
     """Raise DataError where a place does not resonate in the band, or the record is too short for its resonance."""
     data = point.data
-    held = (0.0, 0.0) if data.disc is None else data.disc.held
-    k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(held, (2, 1))
+    k, c = stiffness_and_damping_held(point)
     for i, place in enumerate(data.places):
         m, damping = float(data.mass[i]), float(c[i])
         if not data.measured_force:

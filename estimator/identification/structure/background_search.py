@@ -6,7 +6,7 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -67,7 +67,7 @@ def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) ->
     problem = spectral_problem(model, point, measured_spectra(model, point, places))
     least = MIN_GAIN_NATS * force_dispersion(point)
     try:
-        if (known := _known(model, point, problem)) is None:
+        if (known := with_known_background(problem, point, model.background)) is None:
             found = first = problem.maximised(start_values(problem, point))
         else:
             problem, found = known
@@ -167,26 +167,19 @@ def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
     return JointValues(
         force=np.log(point.S[own])[:, None] * np.ones((1, problem.basis.shape[1])),
         noise=np.log(np.maximum((point.nu * point.S)[own], least)),
-        stiffness=np.log(point.kL[own]),
+        stiffness=np.log(sound_stiffness_and_damping(point)[0][own]),
         damping=problem.damping0.copy(),
     )
 
 
-def _known(
-    model: Model, point: WorkingPoint, problem: JointSpectrum
-) -> tuple[JointSpectrum, JointPoint] | None:  # fmt: skip
-    """The problem and its point with the background that the model has already; None where it has none."""
+def with_known_background(
+    problem: JointSpectrum, point: WorkingPoint, known: Background | None
+) -> tuple[JointSpectrum, JointPoint] | None:
+    """The problem and its point from a fitted model and a background; None where no cap has one."""
     own = {c: point.data.places[i] for c, i in enumerate(problem.spectra.places)}
-    there = {} if model.background is None else {c: b for c, p in own.items() if (b := model.background.at.get(p))}
+    there = {} if known is None else {c: b for c, p in own.items() if (b := known.at.get(p))}
     if not there:
         return None
-    return with_background(problem, point, there)
-
-
-def with_background(
-    problem: JointSpectrum, point: WorkingPoint, there: Mapping[int, BearingBackground]
-) -> tuple[JointSpectrum, JointPoint]:
-    """The problem and its point from a fitted model and the backgrounds of some caps, by number of the cap."""
     problem = problem.with_octaves(min(b.knot_octaves for b in there.values()))
     values = start_values(problem, point)
     for cap, background in there.items():
@@ -210,7 +203,7 @@ def search_background(problem: JointSpectrum, point: JointPoint, least: float) -
         tried = list(_tried_modes(problem, point))
         if octaves:
             finer = problem.with_octaves(octaves[0])
-            tried.append((finer, _tried(finer, finer.respaced(point.values, problem))))
+            tried.append((finer, tried_point(finer, finer.respaced(point.values, problem))))
         there, best = max(tried, key=lambda one: one[1].log_likelihood, default=(problem, point))
         best = there.maximised(best.values)
         if best.log_likelihood - point.log_likelihood < least:
@@ -263,8 +256,8 @@ def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:
     return float(np.log2(1.0 + MIN_KNOT_WIDTHS * 2.0 * zeta.min()))
 
 
-def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
-    """The point after some steps."""
+def tried_point(problem: JointSpectrum, values: JointValues) -> JointPoint:
+    """The point after some steps, to compare values by."""
     return problem.maximised(values, TRIED_STEPS, TRIED_TOLERANCE_NATS)
 
 
@@ -276,7 +269,7 @@ def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[Jo
             continue
         seen.append((mode, float(q[0])))
         try:
-            yield problem, _tried(problem, point.values.with_mode(mode, q))
+            yield problem, tried_point(problem, point.values.with_mode(mode, q))
         except np.linalg.LinAlgError:
             continue
         if len(seen) == PROPOSAL_COUNT:

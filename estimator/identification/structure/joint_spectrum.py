@@ -263,14 +263,12 @@ class JointSpectrum:
     def misfit(self, point: JointPoint) -> Array:
         """(caps,) rms of ln(measured / model) of the whitened spectra beyond their scatter."""
         n = self.spectra.n
-        off = np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2 - 1.0 / n[:, None]
+        off = _squared_ln_ratio(point) - 1.0 / n[:, None]
         return np.asarray(np.sqrt(np.maximum(n @ off / n.sum(), 0.0)))
 
     def dispersion(self, point: JointPoint) -> float:
         """Mean square of ln(measured / model) of the whitened spectra over its expectation."""
-        n = self.spectra.n
-        off = np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2
-        return float(np.mean(n[:, None] * off))
+        return float(np.mean(self.spectra.n[:, None] * _squared_ln_ratio(point)))
 
     def coherence(self, point: JointPoint) -> tuple[float, int]:
         """Log-likelihood ratio, nats, of free cross spectra of the whitened caps in wide cells, and its parameters."""
@@ -336,6 +334,11 @@ class JointSpectrum:
         f = self.spectra.f_hz[[0, -1]] * BAND_MARGINS_REL
         both = np.array([[f, DAMPING_RATIO_LIMITS, MASS_RATIO_LIMITS[mode.form]] for mode in modes]).reshape(-1, 3, 2)
         return np.log(both[..., 0]), np.log(both[..., 1])
+
+
+def _squared_ln_ratio(point: JointPoint) -> Array:
+    """(cells, caps) squared ln(measured / model) of the whitened spectra."""
+    return np.asarray(np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2)
 
 
 def products(J: Array) -> Array:

@@ -22,17 +22,16 @@ from .background_search import (
     force_dispersion,
     measured_spectra,
     search_background,
-    sound_stiffness_and_damping,
     spectral_problem,
     start_values,
-    with_background,
+    tried_point,
+    with_known_background,
     without_idle_modes,
 )
 from .cross_spectra import CrossSpectra
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 
 EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
-TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0  # from the solution of another rig
 
 Solution = tuple[JointSpectrum, JointPoint]
 
@@ -107,7 +106,12 @@ class RigSpectra:
         self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
         by_direction = dict.fromkeys(place[-1] for place in self.places)
         self._directions = [tuple(i for i, p in enumerate(self.places) if p[-1] == d) for d in by_direction]
-        self.cost_nats = MIN_GAIN_NATS * force_dispersion(point)
+        self.dispersion = force_dispersion(point)
+
+    @property
+    def cost_nats(self) -> float:
+        """Nats that a structural mode has to gain."""
+        return MIN_GAIN_NATS * self.dispersion
 
     @property
     def as_given(self) -> Arrangement:
@@ -119,11 +123,11 @@ class RigSpectra:
         if background is None:
             return self.without_idle_modes(self.searched(model, self.as_given))
         out = []
-        for problem, point in self._started(model, self.as_given, None):
-            caps = {c: self.places[i] for c, i in enumerate(problem.spectra.places)}
-            there = {c: background.at[place] for c, place in caps.items() if place in background.at}
-            known = with_background(problem, self._point, there) if there else (problem, point)
-            out.append(search_background(*known, self.cost_nats))
+        for places in self._directions:
+            problem = self._problem(model, places, self.as_given)
+            known = with_known_background(problem, self._point, background)
+            start = known or self._plain(model, problem, self.as_given)
+            out.append(search_background(*start, self.cost_nats))
         return self._fit(out, self.as_given)
 
     def searched(self, model: Model, channels: Arrangement, start: RigFit | None = None) -> RigFit:
@@ -161,14 +165,17 @@ class RigSpectra:
         """Problem and start by direction."""
         out = []
         for k, places in enumerate(self._directions):
-            problem = spectral_problem(model, self._point, self._arranged(places, channels), channels.channel_of)
+            problem = self._problem(model, places, channels)
             if start is None:
-                out.append((problem, problem.maximised(self._plain_values(model, problem, places, channels))))
+                out.append(self._plain(model, problem, channels))
             else:
                 problem = problem.with_octaves(start.solutions[k][0].octaves)
-                values = self._values_of(problem, places, channels, start)
-                out.append((problem, problem.maximised(values, TRIED_STEPS, TRIED_TOLERANCE_NATS)))
+                out.append((problem, tried_point(problem, self._values_of(problem, channels, start))))
         return out
+
+    def _problem(self, model: Model, places: tuple[int, ...], channels: Arrangement) -> JointSpectrum:
+        """The spectral problem of the caps of one direction."""
+        return spectral_problem(model, self._point, self._arranged(places, channels), channels.channel_of)
 
     def _arranged(self, places: tuple[int, ...], channels: Arrangement) -> CrossSpectra:
         """The spectra of some places with the channels that are there in truth."""
@@ -177,23 +184,18 @@ class RigSpectra:
         psd = self._spectra.psd[:, source][:, :, source] * sign[:, None] * sign
         return replace(self._spectra, places=places, psd=psd, noise=self._spectra.noise[:, source])
 
-    def _plain_values(
-        self, model: Model, problem: JointSpectrum, places: tuple[int, ...], channels: Arrangement
-    ) -> JointValues:
-        """Values without modes; each channel keeps the frequency of its resonance."""
+    def _plain(self, model: Model, problem: JointSpectrum, channels: Arrangement) -> Solution:
+        """The problem and its point without modes; each channel keeps the frequency of its resonance."""
         point, source = self._point, list(channels.channel_of)
         ratio = cap_masses(model, point) / point.data.mass[source]
-        k, c = sound_stiffness_and_damping(point)
-        S, nu = point.S[source] * ratio**2, point.nu[source]
-        return start_values(problem, replace(point, kL=k[source] * ratio, c=c[source] * ratio, S=S, nu=nu))
+        moved = replace(point, kL=point.kL[source] * ratio, S=point.S[source] * ratio**2, nu=point.nu[source])
+        return problem, problem.maximised(start_values(problem, moved))
 
-    def _values_of(
-        self, problem: JointSpectrum, places: tuple[int, ...], channels: Arrangement, start: RigFit
-    ) -> JointValues:
+    def _values_of(self, problem: JointSpectrum, channels: Arrangement, start: RigFit) -> JointValues:
         """Values of another fit, moved with the channels; each keeps frequencies and mass ratios."""
         there = {i: (k, cap) for k, direction in enumerate(self._directions) for cap, i in enumerate(direction)}
         force, rest, modes, q = [], [], [], []
-        for cap, i in enumerate(places):
+        for cap, i in enumerate(problem.spectra.places):
             k, cap0 = there[start.channels.channel_of.index(channels.channel_of[i])]
             old, point = start.solutions[k]
             heavier = float(np.log(problem.mass[cap] / old.mass[cap0]))

@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import Size
 from estimator.effects.places import at, kinematic, written
-from estimator.errors import NotFiniteError
+from estimator.errors import LawNotFiniteError
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model
 
@@ -163,7 +163,7 @@ def law_along_record(
             own = linear(2 * np.pi * data.f_hz)
             return linear_memory.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
         if not np.isfinite(data.displacement(i).sum() + p.sum()):
-            raise NotFiniteError(placed.effect.name, data.places[i])
+            raise LawNotFiniteError(placed.effect.name, data.places[i])
         f, mean = memory_force_and_response(placed.effect, p, lin[i], data.displacement(i), data.v[i], data.rate_hz)
         return f, slopes, own_response(mean.at(data.f_hz), i, data)
     if placed.effect.kind == "shaft":
@@ -237,7 +237,7 @@ def _along(
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums[f] += part
     if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < MAX_FORCE_N):
-        raise NotFiniteError(effect.name, data.places[i])
+        raise LawNotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(fold_rows, 1)[:, None]
     if data.denoise_correction is not None:
         for f, a, b in _pieces(fold_rows):  # by time folds, as the black box: beside a drift theirs differ

@@ -15,7 +15,7 @@ from daq.commands.start.questions import ask
 from daq.commands.start.text import rig_text
 from daq.rig.rig import Rig, load_rig
 
-ROOT = Path(__file__).parents[3]
+REPOSITORY_FOLDER = Path(__file__).parents[3]
 RATE_HZ = 6400.0
 
 
@@ -54,14 +54,14 @@ def test_from_an_archive_that_says_no_unit(tmp_path: Path) -> None:
 
 
 def test_from_a_log_the_rig_file_in_it(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "configs" / "one_bearing.toml", tmp_path / "rig.toml")
+    shutil.copy(REPOSITORY_FOLDER / "configs" / "one_bearing.toml", tmp_path / "rig.toml")
     log = str(tmp_path / "a.mcap")
     main(["simulate", str(tmp_path / "rig.toml"), "--out", log, "--seconds", "1", "--speed", "max", "--quiet"])
     assert made(tmp_path, "--from", log).text.strip() == (tmp_path / "rig.toml").read_text().strip()
 
 
 def test_from_a_dbc_the_signals_in_units_of_vibration(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "configs" / "canmod-gps.dbc", tmp_path / "device.dbc")
+    shutil.copy(REPOSITORY_FOLDER / "configs" / "canmod-gps.dbc", tmp_path / "device.dbc")
     rig = made(tmp_path, "--from", str(tmp_path / "device.dbc"))
     assert rig.link.signals["AccelerationX"] == "gnss_imu.AccelerationX"
     assert places(rig)["AccelerationZ"] == "bearing1.z acceleration [m/s^2]"

@@ -12,9 +12,9 @@ import pytest
 
 from daq.commands.cli.app import main
 
-ROOT = Path(__file__).parents[3]
+REPOSITORY_FOLDER = Path(__file__).parents[3]
 RATE_HZ = 6400.0
-RIG = """
+RIG_TOML = """
 schema = 1
 [rig]
 speed_rpm = 1500.0
@@ -42,7 +42,7 @@ unit = "mm/s"
 @pytest.fixture
 def record(tmp_path: Path) -> Path:
     """25 Hz: 3 mm/s rms on the accelerometer, 5 mm/s rms on the velocity sensor."""
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(RIG_TOML)
     t = np.arange(int(8 * RATE_HZ)) / RATE_HZ
     noise = np.random.default_rng(0).standard_normal((2, t.size))
     tone = np.sqrt(2.0) * np.sin(2 * np.pi * 25.0 * t)
@@ -54,7 +54,7 @@ def record(tmp_path: Path) -> Path:
 def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert main(["severity", *arguments, "--json", "-"]) == 0
     value: dict[str, Any] = json.loads(capsys.readouterr().out)
-    jsonschema.validate(value, json.loads((ROOT / "docs" / "schemas" / "severity.json").read_text()))
+    jsonschema.validate(value, json.loads((REPOSITORY_FOLDER / "docs" / "schemas" / "severity.json").read_text()))
     return value
 
 
@@ -89,7 +89,7 @@ def test_what_a_part_is_too_short_for_is_void(record: Path, capsys: pytest.Captu
 
 def test_samples_at_full_scale_void_what_they_spoil(record: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A simulated device whose range is the rms of its signal."""
-    text = RIG.replace('unit = "g"', 'unit = "m/s^2"').replace(
+    text = RIG_TOML.replace('unit = "g"', 'unit = "m/s^2"').replace(
         "[machine]", "[acquisition]\nrate_hz = 6400.0\nfull_scale = 1.0\n[machine]"
     )
     text = text[: text.rindex("[[channel]]")] + "[model.linear.bearing1.x]\nkL = 1e6\nc = 50.0\nS = 1e-4\n"
@@ -115,7 +115,7 @@ def test_mistakes_in_the_machine_table(
     was: str, now: str, words: str, record: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = record.with_name("rig.toml")
-    rig.write_text(RIG.replace(was, now))
+    rig.write_text(RIG_TOML.replace(was, now))
     assert main(["severity", str(record), "--rig", str(rig)]) == 2
     err = capsys.readouterr().err
     assert words in err

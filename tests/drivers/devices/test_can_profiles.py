@@ -14,9 +14,9 @@ from drivers.contract.reading import LinkStats
 from drivers.foreign.mapped import MappedDecoder
 from drivers.protocol.device_info import Expected
 
-DBC = (Path(__file__).parents[3] / "configs" / "accelerometers.dbc").read_bytes()
+DBC_BYTES = (Path(__file__).parents[3] / "configs" / "accelerometers.dbc").read_bytes()
 STEP_NS = 10_000_000
-VALUES = np.round(np.random.default_rng(0).uniform(-1.5, 1.5, (300, 2)), 3)
+ACCELERATION_G = np.round(np.random.default_rng(0).uniform(-1.5, 1.5, (300, 2)), 3)
 Frame = tuple[int, bytes, int]
 
 
@@ -51,13 +51,14 @@ def witmotion(x: float, y: float, t_ns: int) -> list[Frame]:
 def test_frames_of_the_descriptions_come_out_in_their_units(
     make: object, signals: tuple[str, str], unit: str, tolerance: float
 ) -> None:
-    frames = [f for k, row in enumerate(VALUES.tolist()) for f in make(*row, k * STEP_NS)]  # type: ignore[operator]
-    decoder = MappedDecoder(LinkStats(), DBC, dict(zip("xy", signals, strict=True)), Expected(100.0), recorded=True)
+    frames = [f for k, row in enumerate(ACCELERATION_G.tolist()) for f in make(*row, k * STEP_NS)]  # type: ignore[operator]
+    by_channel = dict(zip("xy", signals, strict=True))
+    decoder = MappedDecoder(LinkStats(), DBC_BYTES, by_channel, Expected(100.0), recorded=True)
     record = Record(ramp=False)
     record.take(decoder.feed(CanFrames.build(frames), 0, final=True))
     scale = np.array([s.scale for s in record.infos[-1].signals])
     offset = np.array([s.offset for s in record.infos[-1].signals])
     found = np.concatenate([b.counts for b in record.blocks]) * scale + offset
-    np.testing.assert_allclose(found, VALUES, rtol=0, atol=tolerance * 1.001)
+    np.testing.assert_allclose(found, ACCELERATION_G, rtol=0, atol=tolerance * 1.001)
     assert {s.unit for s in record.infos[-1].signals} == {unit}
     assert not record.gaps

@@ -58,11 +58,11 @@ def lines(x: float, y: float, z: float) -> bytes:
     return f"{x:.4f}, {y:+.4f};{z:.3e}\r\n".encode()
 
 
-PACKET: dict[str, Callable[[float, float, float], bytes]] = {
+PACKET_OF_SAMPLE: dict[str, Callable[[float, float, float], bytes]] = {
     "witmotion": witmotion, "mip": mip, "m_a352": m_a352, "lines": lines,
 }  # fmt: skip
-BEGIN = {"lines": 1}  # the first line may be the end of one
-TOLERANCE = {"witmotion": 16 / 32768, "mip": 1e-6, "m_a352": 1e-7, "lines": 6e-3}
+FIRST_SAMPLE_READ = {"lines": 1}  # the first line may be the end of one
+TOLERANCE_G = {"witmotion": 16 / 32768, "mip": 1e-6, "m_a352": 1e-7, "lines": 6e-3}
 
 
 def decoder(name: str) -> PacketDecoder:
@@ -80,7 +80,7 @@ def decoded(name: str, pieces: list[tuple[bytes, int]]) -> tuple[Record, PacketD
 
 
 def timely(name: str, values: np.ndarray = G) -> list[tuple[bytes, int]]:
-    return [(PACKET[name](*row), (k + 1) * STEP_NS) for k, row in enumerate(values.tolist())]
+    return [(PACKET_OF_SAMPLE[name](*row), (k + 1) * STEP_NS) for k, row in enumerate(values.tolist())]
 
 
 def values(record: Record) -> np.ndarray:
@@ -90,25 +90,25 @@ def values(record: Record) -> np.ndarray:
 
 
 def test_every_profile_is_tested_and_listed_in_the_link() -> None:
-    assert set(PACKET) == set(DEVICE_PROFILES)
+    assert set(PACKET_OF_SAMPLE) == set(DEVICE_PROFILES)
     with pytest.raises(LinkError) as error:
         parse_link("nothing:")
     assert "|".join(DEVICE_PROFILES) in str(error.value)
 
 
-@pytest.mark.parametrize("name", PACKET)
+@pytest.mark.parametrize("name", PACKET_OF_SAMPLE)
 def test_the_numbers_of_the_makers_description_come_out(name: str) -> None:
     record, own = decoded(name, timely(name))
     found = values(record)
     assert not record.gaps
     assert len(found) > 600
-    begin = BEGIN.get(name, 0)
-    np.testing.assert_allclose(found, G[begin : begin + len(found)], rtol=0, atol=TOLERANCE[name])
+    begin = FIRST_SAMPLE_READ.get(name, 0)
+    np.testing.assert_allclose(found, G[begin : begin + len(found)], rtol=0, atol=TOLERANCE_G[name])
     assert record.infos[-1].signals[0].unit == ("" if name == "lines" else "g")
     assert own.stats.crc_errors == 0
 
 
-@pytest.mark.parametrize("name", PACKET)
+@pytest.mark.parametrize("name", PACKET_OF_SAMPLE)
 @settings(max_examples=15, deadline=None)
 @given(cuts=st.lists(st.integers(1, 40), min_size=1, max_size=20))
 def test_any_cut_of_the_stream_gives_the_same(name: str, cuts: list[int]) -> None:
@@ -126,7 +126,7 @@ def test_any_cut_of_the_stream_gives_the_same(name: str, cuts: list[int]) -> Non
     assert found == alike or (name == "lines" and found == alike[len(alike) - len(found) :])
 
 
-@pytest.mark.parametrize("name", PACKET)
+@pytest.mark.parametrize("name", PACKET_OF_SAMPLE)
 def test_a_damaged_packet_is_one_gap_in_its_place(name: str) -> None:
     pieces = timely(name)
     for k in (150, 151, 300):
@@ -135,21 +135,21 @@ def test_a_damaged_packet_is_one_gap_in_its_place(name: str) -> None:
         pieces[k] = (bytes(data), pieces[k][1])
     record, own = decoded(name, pieces)
     found = values(record)
-    begin = BEGIN.get(name, 0)
+    begin = FIRST_SAMPLE_READ.get(name, 0)
     assert [(g.index + begin, g.count, g.reason) for g in record.gaps] == [(150, 2, "crc"), (300, 1, "crc")]
     left = np.delete(G, [150, 151, 300], axis=0)[begin:]
-    np.testing.assert_allclose(found, left[: len(found)], rtol=0, atol=TOLERANCE[name])
+    np.testing.assert_allclose(found, left[: len(found)], rtol=0, atol=TOLERANCE_G[name])
     assert own.stats.crc_errors == 3
 
 
-@pytest.mark.parametrize("name", PACKET)
+@pytest.mark.parametrize("name", PACKET_OF_SAMPLE)
 @settings(max_examples=60, deadline=None)
 @given(junk=st.binary(max_size=600), split=st.integers(1, 50))
 def test_garbage_never_raises_and_a_good_packet_behind_it_is_found(name: str, junk: bytes, split: int) -> None:
     framer = DEVICE_PROFILES[name].make()
     for at in range(0, len(junk), split):
         framer.feed(junk[at : at + split])
-    good = PACKET[name](0.5, -0.25, 0.125)
+    good = PACKET_OF_SAMPLE[name](0.5, -0.25, 0.125)
     seen = 0
     for _ in range(40):  # a false length may swallow what follows it, never for long
         seen += len(framer.feed(good).frames)
@@ -157,8 +157,8 @@ def test_garbage_never_raises_and_a_good_packet_behind_it_is_found(name: str, ju
 
 
 def test_a_megabyte_takes_little_time() -> None:
-    for name in PACKET:
-        data = b"".join(PACKET[name](*row) for row in G.tolist()) * 30
+    for name in PACKET_OF_SAMPLE:
+        data = b"".join(PACKET_OF_SAMPLE[name](*row) for row in G.tolist()) * 30
         start = time.process_time()
         framer = DEVICE_PROFILES[name].make()
         count = sum(len(framer.feed(data[at : at + 65536]).frames) for at in range(0, len(data), 65536))

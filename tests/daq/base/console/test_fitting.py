@@ -14,8 +14,8 @@ from rich.console import Console
 from daq.base.console.fitting import FittingTable
 from daq.base.console.output import pipe_width
 
-ROOT = Path(__file__).parents[4]
-TABLE = FittingTable(
+REPOSITORY_FOLDER = Path(__file__).parents[4]
+TABLE_OF_THREE = FittingTable(
     headings=("channel", "value", "remark", "least of all"),
     rows=[("bearing1.x", "1.234e+10", "a sentence of several words", "x"), ("b2", "-5", "", "yyyyyyyyyyyyyyyy")],
     order=(2, 3),
@@ -25,7 +25,7 @@ TABLE = FittingTable(
 
 def drawn(width: int) -> str:
     out = io.StringIO()
-    Console(file=out, width=width).print(TABLE)
+    Console(file=out, width=width).print(TABLE_OF_THREE)
     return out.getvalue()
 
 
@@ -50,6 +50,7 @@ def test_a_pipe_has_the_width_that_is_asked_for(asked: str, width: int, monkeypa
 @pytest.mark.parametrize("command", [["effects"], ["theory", "configs/tiwari_vyas_1997.toml"], ["ports"]])
 def test_commands_keep_to_80_columns_in_a_pipe(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    done = subprocess.run([sys.executable, "-m", "daq", *command], cwd=ROOT, capture_output=True, text=True, check=True)
+    asked = [sys.executable, "-m", "daq", *command]
+    done = subprocess.run(asked, cwd=REPOSITORY_FOLDER, capture_output=True, text=True, check=True)
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "\N{HORIZONTAL ELLIPSIS}" not in done.stdout

@@ -17,7 +17,7 @@ from daq.log.reader import read_log
 
 RATE_HZ = 2000.0
 STARTED_UTC = "2024-05-31T11:05:00Z"
-RIG = """schema = 1
+RIG_TOML = """schema = 1
 [band]
 low = 10.0
 high = 800.0
@@ -38,7 +38,7 @@ unit = "m/s^2"
 def log(tmp_path: Path) -> Path:
     y = np.random.default_rng(0).standard_normal((3000, 2))
     y[1000:1100] = np.nan
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(RIG_TOML)
     np.savez(tmp_path / "a.npz", b1x=y[:, 0], b1y=y[:, 1], rate_hz=RATE_HZ, started=STARTED_UTC)
     out = tmp_path / "log.mcap"
     assert (
