@@ -3,6 +3,9 @@
 python -m tests.golden.make                # write tests/golden/results/*.json
 python -m tests.golden.make --check        # compare: verdicts equal, numbers within the tolerance of `differences`
 python -m tests.golden.make --check --exact   # compare every number bit by bit: same machine, same libraries
+
+The tests set OPENBLAS_CORETYPE=Haswell before numpy is loaded. With another kernel the text of a gate may name another
+p-value.
 """
 
 from __future__ import annotations
