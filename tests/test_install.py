@@ -55,6 +55,11 @@ def test_the_wheel_names_files_that_are_there() -> None:
         (("matplotlib",), ["reproduce", "out"], "rotorscope[report]"),
         (("rerun",), ["diagnose", "x.mcap", "--rig", RIG, "--rerun", "x.rrd"], "rerun-sdk>=0.41,<0.42"),
         (("rerun",), ["run", RIG, "--link", "virtual:", "--rerun", "x.rrd"], "rerun-sdk>=0.41,<0.42"),
+        (
+            ("pyarrow",),
+            ["run", RIG, "--link", "virtual:", "--out", "x", "--segment", "10min"],
+            "rotorscope[formats]",
+        ),
         (("prometheus_client",), ["run", RIG, "--link", "virtual:", "--metrics", "0"], "rotorscope[monitor]"),
     ],
 )

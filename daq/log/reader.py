@@ -238,6 +238,10 @@ class Recording:
             elif isinstance(entry, Gap | Notice):
                 yield entry
 
+    def estimate_bytes(self) -> Iterator[bytes]:
+        """The logged estimates in order, as the log holds them."""
+        return (logged.data for logged in self.estimates)
+
     def again(self) -> Findings:
         """For another pass over what the first one saw: a log may be growing."""
         return beginning(self.findings)

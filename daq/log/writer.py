@@ -75,6 +75,11 @@ class LogWriter:
         """Where the log is; another name than asked for only if that was taken after a removal."""
         return self._file.path
 
+    @property
+    def size_bytes(self) -> int:
+        """Of the file so far, what waits for the disk included; samples of the last 0.4 s are not in it yet."""
+        return self._file.tell()
+
     # -- core loop ------------------------------------------------------------------------------------------------
 
     def start(self, session: Session) -> None:

@@ -35,6 +35,7 @@ STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estim
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
 ANSWER_S = 30.0  # and this long for a diagnosis that is under way, unless stopped
 BUSY_S = 0.01
+LOG_SINKS = ("LogWriter", "SegmentedLog")  # names of the sinks that store samples
 LOGGED_VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 
 Notify = Callable[[Notice], None]
@@ -282,7 +283,8 @@ def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
     return RunSummary(
         seconds=pipeline.seconds, samples=ledger.samples, lost_samples=ledger.lost, gaps=tuple(ledger.gaps),
         kind=driver.kind, stats=driver.stats, last_estimate=pipeline.last_estimate, clipped=pipeline.clipped,
-        problems=tuple(pipeline.problems), device=device, not_logged=pipeline.dropped.get("LogWriter", 0),
+        problems=tuple(pipeline.problems), device=device,
+        not_logged=sum(pipeline.dropped.get(sink, 0) for sink in LOG_SINKS),
         lost_log=pipeline.lost_log,
     )  # fmt: skip
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ RECORD_FINDING, STRIKES_FOUND = "record_finding", "strikes_found"  # codes of wa
 TONES_FOUND, LAYERS_SEEN = "tones_found", "layers"  # codes of remarks; the last one has all layers, a line each
 LAYER_CODES = frozenset({RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LAYERS_SEEN})
 
+Heard = Callable[[int, Mapping[str, Any]], None]  # index behind a window, its layers as JSON; from any thread
+
 
 class LayerWatch:
     """A sink. live : a window is left out while the look at the one before goes on; a replay waits for it.
@@ -42,10 +44,11 @@ class LayerWatch:
     Looks are taken in a thread. The windows are multiples of the absolute index, so a replay says the same.
     """
 
-    def __init__(self, model: Model, live: bool, units: Sequence[str]) -> None:
-        """units : SI unit of each channel."""
+    def __init__(self, model: Model, live: bool, units: Sequence[str], hear: Sequence[Heard] = ()) -> None:
+        """units : SI unit of each channel. hear : who is given the layers of each window."""
         self._model, self._live = model, live
         self._units = dict(zip((c.name for c in model.channels), units, strict=True))
+        self._hear = hear
         self._kept = KeptSamples(model, 2.0 * WINDOW_S)
         self._info: Info | None = None
         self._next: int | None = None  # first sample of the next window
@@ -134,6 +137,8 @@ class LayerWatch:
             "machine": told,
             "structure": self._structure.to_json(),
         }
+        for heard in self._hear:
+            heard((window + 1) * len(y), seen)
         text = [f"{name}: {line}" if name else f"  {line}" for name, line in lines(seen, self._units)]
         self._say("info", LAYERS_SEEN, "\n".join([f"layers from {when}", *text]))
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
 
 from daq.base.contract.clock import Clock, SystemClock
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session, Sink, Status
 from daq.log import codec as codec
-from daq.log.reader import Recording
+from daq.log.entries import Head
 from daq.rig.rig import Rig
 from drivers.contract import Block, Gap, LinkStats, Notice, Reading
 from estimator.results import Estimate
@@ -23,6 +25,33 @@ READ_ROWS = 1 << 16  # per read
 OPEN_END = ("recovered", "stopped_behind")  # notices of logs whose last samples were not estimated from
 
 
+class Replayable(Protocol):
+    """A log, or the segments of a session: their samples, and the estimates as they were logged."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def head(self) -> Head: ...
+    @property
+    def rate_hz(self) -> float: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def stop(self) -> int: ...
+    @property
+    def started_ns(self) -> int | None: ...
+    @property
+    def growing(self) -> bool: ...
+    @property
+    def complete(self) -> bool: ...
+    @property
+    def notices(self) -> Sequence[Notice]: ...
+    @property
+    def rig_text(self) -> str: ...
+    def readings(self, joined: bool = True) -> Iterator[Reading]: ...
+    def estimate_bytes(self) -> Iterator[bytes]: ...
+
+
 class ReplayDriver:
     """The readings of a log, in order. speed : times real time, by the samples' own time axis; None: at once.
 
@@ -32,7 +61,7 @@ class ReplayDriver:
 
     kind = "replay"
 
-    def __init__(self, recording: Recording, speed: float | None = None, clock: Clock | None = None) -> None:
+    def __init__(self, recording: Replayable, speed: float | None = None, clock: Clock | None = None) -> None:
         if speed is not None and not speed > 0:
             raise ValueError(f"a speed of {speed} times real time is not above 0")
         self.stats = LinkStats()
@@ -108,18 +137,26 @@ class ReplayDriver:
 class EstimateCheck:
     """A sink that compares every estimate with the logged ones, byte for byte, NaN included."""
 
-    def __init__(self, recording: Recording) -> None:
-        self._logged = [e.data for e in recording.estimates]
-        self._open_end = not recording.complete or any(n.code in OPEN_END for n in recording.notices)
+    def __init__(self, recording: Replayable) -> None:
+        self._recording = recording
+        self._logged = recording.estimate_bytes()
+        self._next = next(self._logged, None)
         self.compared = 0
         self._extra = 0
         self._equal = True
 
     @property
+    def nothing(self) -> bool:
+        """Whether there is nothing to compare."""
+        return self._next is None and not self.compared
+
+    @property
     def identical(self) -> bool:
         """All logged estimates came again, and no others; a log that was cut may give more at its end."""
-        all_seen = self.compared == len(self._logged)
-        return self._equal and all_seen and (self._extra == 0 or self._open_end)
+        if not (self._equal and self._next is None):
+            return False
+        recording = self._recording
+        return not self._extra or not recording.complete or any(n.code in OPEN_END for n in recording.notices)
 
     def start(self, session: Session) -> None: ...
     def readings(self, batch: Sequence[Reading]) -> None: ...
@@ -127,20 +164,21 @@ class EstimateCheck:
     def close(self) -> None: ...
 
     def estimate(self, estimate: Estimate) -> None:
-        if self.compared >= len(self._logged):
+        if self._next is None:
             self._extra += 1
             return
-        self._equal &= codec.encode_estimate(estimate) == self._logged[self.compared]
+        self._equal &= codec.encode_estimate(estimate) == self._next
+        self._next = next(self._logged, None)
         self.compared += 1
 
 
-def logged_rig(log: Recording) -> Rig:
+def logged_rig(log: Replayable) -> Rig:
     """The rig file of the session that made the log. Raises LogError if the log holds none."""
     return Rig.parse(log.rig_text, where=f"{log.path}: rig.toml")
 
 
 def replay_into(
-    log: Recording, rig: Rig | None = None, sinks: Sequence[Sink] = (), *,
+    log: Replayable, rig: Rig | None = None, sinks: Sequence[Sink] = (), *,
     speed: float | None = None, check: bool = False, seconds: float | None = None,
     stop: threading.Event | None = None, notify: Notify | None = None, make: MakeEstimator | None = None,
 ) -> RunSummary:  # fmt: skip
@@ -150,9 +188,9 @@ def replay_into(
     estimator. Raises LogError if the log has no rig file and none is given, or if there is nothing to check.
     """
     rig = rig or logged_rig(log)
-    if check and not log.estimates:
+    checker = EstimateCheck(log) if check else None
+    if checker is not None and checker.nothing:
         raise LogError(f"{log.path}: holds no estimates to check; replay it without --check")
-    checker = EstimateCheck(log)
-    all_sinks = [*sinks, *([checker] if check else [])]
+    all_sinks = [*sinks, *([checker] if checker is not None else [])]
     outcome = acquire_from(rig, ReplayDriver(log, speed), all_sinks, seconds, stop, notify=notify, make=make)
-    return replace(outcome, identical=checker.identical, compared=checker.compared) if check else outcome
+    return outcome if checker is None else replace(outcome, identical=checker.identical, compared=checker.compared)

@@ -27,6 +27,25 @@ Seconds = Annotated[
 ]
 
 
+Segment = Annotated[
+    str | None,
+    typer.Option("--segment", metavar="10min|500MB", help="Logs of this length or size each, in the folder --out."),
+]
+KeepOption = Annotated[
+    list[str] | None,
+    typer.Option("--keep", metavar="30d|200GB", help="Remove the oldest segments beyond this; may be repeated."),
+]
+KeepFree = Annotated[
+    str | None,
+    typer.Option("--keep-free", metavar="SIZE", help="Remove them to leave so much disk free (1GB with --keep)."),
+]
+RemoveAlarms = Annotated[bool, typer.Option("--remove-alarms", help="Remove segments with an alarm like the others.")]
+Every = Annotated[
+    str | None, typer.Option("--every", metavar="1h", help="Store samples once in so long, for --for; estimate always.")
+]
+ForOption = Annotated[str | None, typer.Option("--for", metavar="30s", help="How long, of each --every.")]
+
+
 def run(
     rigs: Annotated[
         list[str], typer.Argument(metavar="RIG", help="Rig file (TOML); several devices: RIG or RIG=LINK of each.")
@@ -36,8 +55,15 @@ def run(
     ] = None,
     seconds: Seconds = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log; of several devices: a folder.")
+        Path | None,
+        typer.Option("--out", metavar="LOG.mcap|DIR", help="Write a log; a folder: of several devices, of segments."),
     ] = None,
+    segment: Segment = None,
+    keep: KeepOption = None,
+    keep_free: KeepFree = None,
+    remove_alarms: RemoveAlarms = False,
+    every: Every = None,
+    length: ForOption = None,
     rerun: Annotated[
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
@@ -55,10 +81,15 @@ def run(
     A measurement that lies at LOG.mcap is not overwritten: it is kept beside the new one, as LOG-1.mcap.
     Several devices, each with its own link, clock and log: `run press.toml fan.toml=slcan:/dev/ttyACM1 --out logs`.
     A device that fails is reported and tried again; the others go on. The exit status is the worst of them.
+    For years: `run press.toml --out press --segment 10min --keep 30d`, with the trend of all numbers in press/trend.
     """
     from daq.commands.live.run import run as body
+    from daq.commands.live.watching import Watching
 
-    body(Output(json, quiet, verbose), rigs, link, seconds, out, rerun, strict, metrics)
+    watching = Watching.asked(
+        out, segment, keep or (), keep_free, every=every, length=length, remove_alarms=remove_alarms
+    )
+    body(Output(json, quiet, verbose), rigs, link, seconds, out, rerun, strict, metrics, watching)
 
 
 def simulate(
@@ -114,7 +145,7 @@ def simulate(
 
 @of_a_part
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="A log.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG.mcap|DIR", help="A log, or a folder of segments.")],
     speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="Times real time.")] = "max",
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")

@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Any
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
 from daq.base.contract.errors import ConfigError, RotorscopeError, exit_status
+from daq.base.contract.sink import Sink
 from daq.log.codec import text as as_text
 from daq.report.rerun.process import VIEWER_PORT
 from daq.rig.rig import load_rig
 from daq.session.acquire import FINITE_KINDS, Device, RunSummary, acquire_all
+from daq.session.layer_watch import Heard
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks
 from drivers.contract import Notice, Patient
 
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
+from .watching import Watching, watching_sinks
 
 if TYPE_CHECKING:
     from .devices_table import DevicesTable
@@ -43,7 +46,7 @@ class _Asked:
 
 def run_devices(
     output: Output, asked: Sequence[tuple[Path, str | None]], out: Path | None, *, seconds: float | None,
-    rerun: str | None, strict: bool, metrics: int | None,
+    rerun: str | None, strict: bool, metrics: int | None, watching: Watching | None = None,
 ) -> None:  # fmt: skip
     """Acquire from several links at once; a mistake in what was asked for ends it before anything begins.
 
@@ -59,9 +62,13 @@ def run_devices(
             rig = load_rig(path)
             driver = open_driver(link, rig)
             live = driver.kind not in FINITE_KINDS
-            log = None if out is None else out / f"{name}.mcap"
-            sinks = make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
-            sinks += naming_sinks(rig, live)
+            log, sinks, hear = None if out is None else out / f"{name}.mcap", list[Sink](), list[Heard]()
+            if watching is not None and watching.cut is not None and out is not None:
+                sinks, hear = watching_sinks(watching, rig, out / name, name, live=live)
+                log = None
+            sinks += make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
+            sinks += naming_sinks(rig, live, hear)
+            log = out / name if log is None and out is not None else log
             for sink in sinks:
                 undo.callback(sink.close)
             if server is not None:

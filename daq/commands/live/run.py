@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
+from daq.base.contract.dates import Recorded
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
 from daq.base.contract.part import WHOLE_RECORD, Part
+from daq.base.contract.sink import Sink
 from daq.rig.edit import of_channels
 from daq.rig.rig import Rig, load_rig
 from daq.session.acquire import FINITE_KINDS, RECORDED_KINDS, RunSummary, acquire_from
+from daq.session.layer_watch import Heard
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks, refuse_own_log, replay_failure
+from daq.trend.names import SEGMENTS_KEY
 
 from .part_of import PartOf
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
+from .watching import Watching, watching_sinks
 
 if TYPE_CHECKING:
     from daq.log.reader import Recording
@@ -26,14 +31,14 @@ if TYPE_CHECKING:
 
 def run(
     output: Output, rigs: Sequence[str], link: str | None, seconds: float | None, out: Path | None, rerun: str | None,
-    strict: bool, metrics: int | None = None,
+    strict: bool, metrics: int | None = None, watching: Watching | None = None,
 ) -> None:  # fmt: skip
     """rigs : RIG or RIG=LINK, several for several devices."""
     asked = [rig_and_link(text) for text in rigs]
     if link is not None and (len(asked) > 1 or asked[0][1] is not None):
         raise ConfigError("--link is for a single rig; for several rigs give RIG=LINK for each")
     output.prepare()
-    options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics}
+    options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics, "watching": watching}
     if len(asked) > 1:
         from .devices import run_devices
 
@@ -57,7 +62,7 @@ def rig_and_link(text: str) -> tuple[Path, str | None]:
 def run_rig(
     output: Output, rig: Rig, link: str | None, out: Path | None, *, seconds: float | None = None,
     rerun: str | None = None, strict: bool = False, metrics: int | None = None, command: str = "run",
-    part: Part = WHOLE_RECORD,
+    part: Part = WHOLE_RECORD, watching: Watching | None = None,
 ) -> None:  # fmt: skip
     """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
@@ -69,8 +74,12 @@ def run_rig(
         live = driver.kind not in FINITE_KINDS
         wanted = None if not importing else lambda: not stop.event.is_set()
         recorded, offset_ns = driver.kind in RECORDED_KINDS, getattr(driver, "wall_offset_ns", None)
-        own = make_sinks(output, out, rerun, live=live, wanted=wanted, recorded=recorded, wall_offset_ns=offset_ns)
-        sinks = [*own, *naming_sinks(rig, live)]
+        log, segments, hear = out, list[Sink](), list[Heard]()
+        if watching is not None and watching.cut is not None and out is not None:
+            of, log = Recorded(offset_ns) if recorded else None, None
+            segments, hear = watching_sinks(watching, rig, out, rig.model.name, live=live, recorded=of)
+        own = make_sinks(output, log, rerun, live=live, wanted=wanted, recorded=recorded, wall_offset_ns=offset_ns)
+        sinks = [*segments, *own, *naming_sinks(rig, live, hear)]
         if server is not None:
             sinks.append(server.sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
@@ -147,9 +156,16 @@ def replay(
 
     refuse_own_log(log, out)
     pace = _speed(speed)
+    if log.is_dir():
+        from .replay_folder import replay_folder
+
+        replay_folder(output, log, pace, rig_path, check, out=out, rerun=rerun, part=part)
+        return
     if check and part:
         raise ConfigError("--check compares the whole log: leave out --from, --to, --seconds and --channels")
     recording = read_log(log, part=part)
+    if check and SEGMENTS_KEY in recording.metadata:
+        raise ConfigError(f"{log}: is a segment, and its estimates go on from those before: check the folder")
     if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
         raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
                           "leave --rig out, or give that very file")  # fmt: skip
