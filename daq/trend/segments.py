@@ -32,7 +32,7 @@ RETRY_S = 1.0  # a segment that could not be opened is tried again
 KEEP_EVERY_S = 60.0  # also without a new segment: somebody else may fill the disk
 MAX_EARLY = 1000  # notices that wait for the next segment
 MAX_CLOSING = 3  # segments that are being closed: of more the disk stalls, and the one that is written goes on
-UNCLOSED = 2  # the last segments of a folder: after a crash they are asked for an alarm
+UNCLOSED_SEGMENTS = 2  # the last segments of a folder: after a crash they are asked for an alarm
 CLOSE_S = 30.0  # to finish what is to be closed and removed at the end
 
 
@@ -46,7 +46,7 @@ class _Part:
     alarm: bool = False
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _State:
     """Of the stream so far."""
 
@@ -93,7 +93,7 @@ class SegmentedLog:
     # -- the sink ---------------------------------------------------------------------------------------------------
 
     def start(self, session: Session) -> None:
-        self._state = _State(session, session.info)
+        self._state = _State(session=session, info=session.info)
 
     def readings(self, batch: Sequence[Reading]) -> None:
         for reading in batch:
@@ -337,7 +337,7 @@ def writable(folder: Path) -> None:
 
 def mark_unclosed(folder: Path) -> None:
     """Name what a crash left unnamed: of the last segments those that hold an alarm."""
-    for segment in segments(folder)[-UNCLOSED:]:
+    for segment in segments(folder)[-UNCLOSED_SEGMENTS:]:
         if (
             segment.alarm
             or being_written(segment.path)

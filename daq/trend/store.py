@@ -150,7 +150,7 @@ def estimate_rows(estimate: Estimate, time_ns: int) -> Iterator[Row]:
     """The identifiable parameters, and the force that is missing."""
     for name, p in estimate.parameters.items():
         if p.value is not None and p.identifiable:
-            yield Row(time_ns, "estimate", name, p.value, p.sd, p.unit)
+            yield Row(time_ns, "estimate", name, value=p.value, sd=p.sd, unit=p.unit)
     for name, value in (estimate.extra or {}).items():
         if name.startswith(MISSING_FORCE_KEY):
             which = name.removeprefix(MISSING_FORCE_KEY).strip("_")
@@ -168,7 +168,9 @@ def layer_rows(seen: Sequence[Json], time_ns: int) -> Iterator[Row]:
             largest[row.kind, row.name] = row
     speed = seen[-1]["machine"]["speed_rpm"]
     if speed:
-        yield Row(time_ns, "speed", "shaft", speed["value"], speed["sd"], "rpm", speed["source"])
+        yield Row(
+            time_ns, "speed", "shaft", value=speed["value"], sd=speed["sd"], unit="rpm", text=speed["source"]
+        )  # fmt: skip
     yield from largest.values()
 
 
