@@ -25,6 +25,11 @@ DAY_NS = 86_400 * 10**9
 MAX_PENDING = 20_000  # rows that wait for the disk: hours
 
 
+def arrow(module: str = "pyarrow") -> Any:
+    """A module of pyarrow. Raises ConfigError with what to type if it is not installed."""
+    return required(module, PYARROW_EXTRA, "the trend")
+
+
 class Row(NamedTuple):
     """A number of the trend. time_ns : Unix time; sd : None where none is known."""
 
@@ -39,7 +44,7 @@ class Row(NamedTuple):
 
 def schema() -> Any:
     """The columns, as Arrow has them."""
-    pa = required("pyarrow", PYARROW_EXTRA, "the trend")
+    pa = arrow()
     text = [(name, pa.string()) for name in ("kind", "name", "unit", "text")]
     number = [("value", pa.float64()), ("sd", pa.float64())]
     fields = [("time", pa.timestamp("us", tz="UTC")), *text[:2], *number, *text[2:]]
@@ -48,7 +53,7 @@ def schema() -> Any:
 
 def table(rows: Sequence[Row]) -> Any:
     """Rows as an Arrow table."""
-    pa = required("pyarrow", PYARROW_EXTRA, "the trend")
+    pa = arrow()
     columns = {name: [getattr(row, name) for row in rows] for name in Row._fields[1:]}
     columns["time"] = [row.time_ns // 1000 for row in rows]
     return pa.table({name: columns[name] for name in schema().names}, schema=schema())
@@ -101,7 +106,7 @@ class DayWriter:
         self._file.flush()
 
     def _begin(self, day: str) -> None:
-        ipc = required("pyarrow.ipc", PYARROW_EXTRA, "the trend")
+        ipc = arrow("pyarrow.ipc")
         number = 0
         while True:
             path = self._folder / f"{day}.{number}{STREAM_SUFFIX}"
@@ -137,8 +142,8 @@ def streams(folder: Path, day: str) -> list[Path]:
 def compact(folder: Path, day: str) -> None:
     """Put the streams of a day, those of others that still write excepted, into its file. Raises OSError."""
     pa, parquet = (
-        required("pyarrow", PYARROW_EXTRA, "the trend"),
-        required("pyarrow.parquet", PYARROW_EXTRA, "the trend"),
+        arrow(),
+        arrow("pyarrow.parquet"),
     )
     own = [path for path in streams(folder, day) if not being_written(path)]
     path = folder / f"{day}{DAY_SUFFIX}"
@@ -155,7 +160,7 @@ def compact(folder: Path, day: str) -> None:
 
 def stream_tables(path: Path) -> Iterator[Any]:
     """What a stream holds, as far as it is whole."""
-    pa, ipc = required("pyarrow", PYARROW_EXTRA, "the trend"), required("pyarrow.ipc", PYARROW_EXTRA, "the trend")
+    pa, ipc = arrow(), arrow("pyarrow.ipc")
     with suppress(pa.ArrowInvalid, OSError, EOFError), path.open("rb") as file, ipc.open_stream(file) as reader:
         for batch in reader:
             yield pa.Table.from_batches([batch])
@@ -164,8 +169,8 @@ def stream_tables(path: Path) -> Iterator[Any]:
 def read_days(folder: Path, since_ns: int | None = None) -> Any:
     """All rows of a trend from a Unix time on, in the order of time: an Arrow table. Raises OSError."""
     pa, parquet = (
-        required("pyarrow", PYARROW_EXTRA, "the trend"),
-        required("pyarrow.parquet", PYARROW_EXTRA, "the trend"),
+        arrow(),
+        arrow("pyarrow.parquet"),
     )
     first = "" if since_ns is None else day_name(since_ns)
     parts = []
@@ -178,7 +183,5 @@ def read_days(folder: Path, since_ns: int | None = None) -> Any:
     whole = pa.concat_tables([part.cast(schema()) for part in parts]) if parts else schema().empty_table()
     if since_ns is not None:
         from_time = pa.scalar(since_ns // 1000, pa.timestamp("us", tz="UTC"))
-        whole = whole.filter(
-            required("pyarrow.compute", PYARROW_EXTRA, "the trend").greater_equal(whole["time"], from_time)
-        )
+        whole = whole.filter(arrow("pyarrow.compute").greater_equal(whole["time"], from_time))
     return whole.sort_by("time")

@@ -12,7 +12,7 @@ ALARM_MARK = "_alarm"  # at the end of a segment's name
 TREND_FOLDER = "trend"  # beside the segments
 SEGMENTS_KEY, NUMBER_KEY, SCHEDULE_KEY = "segments", "segment", "every"  # of the metadata of a segment
 SEGMENT_NAME = re.compile(r"(?P<stem>.*)_(?P<time>\d{8}T\d{6}\.\d{3}Z)(?:-\d+)?(?P<alarm>_alarm)?\.mcap")
-_UNFIT = re.compile(r"[^\w.-]+")
+_UNFIT_CHARACTERS = re.compile(r"[^\w.-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Segment:
 def segment_name(stem: str, start_ns: int) -> str:
     """The file name of a segment. stem : what is measured; start_ns : Unix time of the first sample."""
     time = datetime.fromtimestamp(start_ns // 10**9, UTC)
-    return f"{_UNFIT.sub('-', stem) or 'log'}_{time:%Y%m%dT%H%M%S}.{start_ns // 10**6 % 1000:03d}Z.mcap"
+    return f"{_UNFIT_CHARACTERS.sub('-', stem) or 'log'}_{time:%Y%m%dT%H%M%S}.{start_ns // 10**6 % 1000:03d}Z.mcap"
 
 
 def segment_of(path: Path) -> Segment | None:

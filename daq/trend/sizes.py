@@ -9,14 +9,14 @@ from daq.base.contract.errors import ConfigError
 
 SECONDS_OF_UNIT = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0, "y": 31_557_600.0}
 BYTES_OF_UNIT = {"kB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
-_AMOUNT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)\s*")
+_AMOUNT_PATTERN = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)\s*")
 MIN_SEGMENT_S, MIN_SEGMENT_BYTES = 1.0, 10**6
 DEFAULT_FREE_BYTES = 10**9  # of the disk stay free where anything may be removed at all
 
 
 def amount(text: str, option: str) -> tuple[float | None, int | None]:
     """(seconds, None) or (None, bytes). Raises ConfigError that names the option."""
-    found = _AMOUNT.fullmatch(text)
+    found = _AMOUNT_PATTERN.fullmatch(text)
     unit = found[2] if found else ""
     value = float(found[1]) if found else 0.0
     seconds = {k.lower(): v for k, v in SECONDS_OF_UNIT.items()}.get(unit.lower())
