@@ -25,7 +25,7 @@ from estimator.likelihood.response.regressor_set import (
     with_second_order,
 )
 from estimator.likelihood.whitening.contour import modes_at
-from estimator.likelihood.whitening.determinant import Jacobian, tangent_times
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights, tangent_times
 from estimator.likelihood.whitening.noise_bias import NoiseBias
 from estimator.likelihood.whitening.whitening import Whitening
 
@@ -43,10 +43,10 @@ class Anchor:
     placed : laws with values. watched : candidate laws at amplitude 0. names, units : (k,) of the parameters, then of
     the amplitudes of the candidates. own : k. scales : SI units per scaled unit, of all names. whitening : of the
     residual force. nodes : (nodes,) numbers of the bins that the determinant is evaluated at. first : (nodes,) first
-    bin that each stands for. A, s : (nodes, places, places) kg and (nodes,) rad/s. second_order : (nodes, places) part
-    of A. responses : (all names, places, places, nodes) response of each scaled regressor. tangents : (all names,
-    places, places, 2) its mean tangent. mean_tangent : (places, places, 2) of all forces. cells : (cells,) first bin of
-    each cell of frequency.
+    bin that each stands for. phase_weight : (nodes,) of the phase of the determinant in its sum. A, s : (nodes,
+    places, places) kg and (nodes,) rad/s. second_order : (nodes, places) part of A. responses : (all names, places,
+    places, nodes) response of each scaled regressor. tangents : (all names, places, places, 2) its mean tangent.
+    mean_tangent : (places, places, 2) of all forces. cells : (cells,) first bin of each cell of frequency.
     """
 
     data: MotionRecord
@@ -63,6 +63,7 @@ class Anchor:
     whitening: Whitening
     nodes: NDArray[np.int64]
     first: NDArray[np.int64]
+    phase_weight: Array
     A: Complexes
     s: Complexes
     second_order: Complexes
@@ -119,11 +120,10 @@ class Anchor:
         A = self.A + np.moveaxis(tangent_response(mean_tangent - self.mean_tangent, self.s), 2, 0)
         weight = np.add.reduceat(share, self.first)
         if not self.data.residual_is_noise:
-            axis = self.s if self.nodes.size == self.bins else None
-            return Jacobian(A, axis, self.second_order, weight), responses
+            return Jacobian(A, 2.0 * weight + 1j * self.phase_weight, self.second_order), responses
         noise, per_psd = self.data.noise_shape * (self.nu * self.S)[:, None], self.whitening.weight / self.S[:, None]
         at = self.nodes
-        bias = NoiseBias(A, self.s, noise=noise[places][:, at], per_psd=per_psd[:, at], kept=weight)
+        bias = NoiseBias(A, noise=noise[places][:, at], per_psd=per_psd[:, at], kept=weight)
         return bias, responses
 
 
@@ -139,8 +139,7 @@ def anchor_at(
     point = point_at(replace(data, level=None), kL, c, nu, S, list(placed))
     whitening, own = point.whitening, point.regressors
     first, nodes = _nodes(point)
-    same = old is not None and old.nodes.size < old.bins and nodes.size < point.data.bins.size
-    if old is not None and same:
+    if old is not None and np.array_equal(old.s, whitening.s[old.nodes]):
         first, nodes = old.first, old.nodes
         names, units, scales = old.names[old.own :], old.units[old.own :], old.scales[old.own :]
         tangents, more = old.tangents[old.own :], old.responses[old.own :]
@@ -170,6 +169,7 @@ def anchor_at(
         whitening=Whitening(data=bare, noise=whitening.noise, s=whitening.s, measured=whitening.measured),
         nodes=nodes,
         first=first,
+        phase_weight=np.add.reduceat(line_weights(whitening.s).imag, first),
         A=point.jacobian.A0[nodes],
         s=whitening.s[nodes],
         second_order=point.jacobian.second_order[nodes],
@@ -190,19 +190,18 @@ def _candidate_regressors(point: WorkingPoint, watched: Sequence[LocatedLaw]) ->
 
 
 def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First bin and middle bin of groups of bins, small where the determinant is steep; every bin where its line leaves
-    the imaginary axis."""
-    data, f = point.data, point.data.f_hz
-    every = np.arange(f.size)
-    if point.whitening.s.real.any():
-        return every, every
+    """First bin and middle bin of groups of bins: small where the determinant is steep, and of one where its line bends
+    off the imaginary axis or back."""
+    data, f, real = point.data, point.data.f_hz, point.whitening.s.real[:, None]
     w, spacing = 2 * np.pi * f, data.rate_hz / data.block
     stiffness = np.einsum("iik->ik", point.mean_tangent)[:, 0]
     resonances = np.sqrt(np.maximum(stiffness / data.mass, w[0] ** 2))
     near = {int(np.argmin(np.abs(w - one))) for one in resonances}
     modes = np.concatenate([modes_at(point.A[k], data.mass, 1j * w[k], data.disc, data.places) for k in sorted(near)])
     away = np.abs(f[:, None] - modes.imag / (2 * np.pi)) / NODES_PER_DISTANCE
-    allowed = np.maximum(away, np.abs(modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
+    allowed = np.maximum(away, np.abs(real - modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
+    bend = np.flatnonzero(np.diff(real[:, 0]))
+    allowed[np.concatenate([bend, bend + 1])] = 1.0
     ends = np.append(np.flatnonzero(np.diff(data.bins) > 1) + 1, f.size)
     first, k = [], 0
     while k < f.size:

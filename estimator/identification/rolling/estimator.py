@@ -5,13 +5,16 @@ matrices of the pieces enter two memories that forget exponentially. The estimat
 a parameter differs between the two memories by five standard deviations of the difference, twice in a row, the fast
 memory replaces the slow one: the estimate then follows the change at once, with a wider interval for a while.
 
-All work is done piece by piece, at fixed absolute rows. The estimate depends on the samples alone, not on how they are
-cut into blocks.
+All work is done at fixed absolute rows: the estimate depends on the samples alone, not on how they are cut into blocks.
+What an estimate need not wait for, which is the first fit, a renewal of the anchor and the look for missing force, is
+done a quarter of a block later, one at a time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -42,6 +45,7 @@ WARM_UP_S = 4.0  # of samples, at least, before the first fit
 PIECE_S = 0.5  # of samples, at most, between two estimates
 BLOCK_CYCLES = 16.0  # of the lower band edge in a block
 MIN_BLOCK_ROWS = 128
+JOBS_PER_BLOCK = 4  # at most, of those that no estimate waits for
 START_BLOCKS = 24  # at least, in the first fit
 MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
 MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
@@ -115,6 +119,8 @@ class RollingEstimator:
         )  # fmt: skip
         self._gain = _sensor_gains(self.model)[self._used]
         self._block = max(MIN_BLOCK_ROWS, 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0]))))
+        self._job_rows = self._block // JOBS_PER_BLOCK
+        self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
         self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
         self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
         self._shaft = ShaftAngle(model, rate_hz)
@@ -143,13 +149,15 @@ class RollingEstimator:
         """Take the next rows, (n, channels), SI; NaN where a sample is missing or clipped."""
         taken = 0
         while taken < len(block):
-            rows = min(len(block) - taken, self._block - self._seen % self._block)
+            rows = min(len(block) - taken, self._job_rows - self._seen % self._job_rows)
             self._seen += rows
             if not self._nothing:
                 self._fresh.append(np.array(block[taken : taken + rows], dtype=np.float64))
                 if self._seen % self._block == 0:
                     self._take(np.concatenate(self._fresh))
                     self._fresh = []
+                elif self._jobs and self._seen % self._job_rows == 0:
+                    self._do_job()
             taken += rows
 
     def snapshot(self) -> Estimate:
@@ -168,11 +176,18 @@ class RollingEstimator:
         if not motion.rows:
             return
         self._kept.append(motion)
-        if self._follower is None:
-            self._start()
-        else:
+        if self._follower is not None:
             self._advance(self._follower)
+        elif self._end - self._kept[0].start >= self._wanted and self._end >= self._retry_at:
+            self._jobs.append(self._start)
         self._trim()
+
+    def _do_job(self) -> None:
+        """Do the next thing that no estimate waits for."""
+        try:
+            self._jobs.pop(0)()
+        except (NotFiniteError, np.linalg.LinAlgError) as error:
+            self._show_nothing(str(error))
 
     def _leave_out_spikes(self, y: Array) -> None:
         """NaN in place of the spikes of a block: one would hide the motion for a time constant."""
@@ -202,10 +217,8 @@ class RollingEstimator:
         self._estimate = Estimate(self._seen, {}, 0.0, status=status)
 
     def _start(self) -> None:
-        """Fit the first seconds, once there are enough, or show why that fails."""
+        """Fit the first seconds, or show why that fails."""
         end = self._end
-        if end - self._kept[0].start < self._wanted or end < self._retry_at:
-            return
         self._retry_at = end + self._wanted // 2
         motion = joined_motion(self._kept, self._kept[0].start, end)
         self._moves = np.zeros(len(self.model.places))
@@ -234,6 +247,8 @@ class RollingEstimator:
         self._moves, self._pieces, self._missing = data.rms[2], 0, None
         self._next = -(-(self._kept[0].start + self._margin) // self._piece) * self._piece
         self._advance(self._follower)
+        while self._jobs:
+            self._do_job()
 
     def _advance(self, follower: Follower) -> None:
         """Take the pieces of motion that are complete, and renew the estimate."""
@@ -294,19 +309,30 @@ class RollingEstimator:
         try:
             follower.solve()
             if follower.wants_anchor():
-                self._renew_anchor(follower)
+                self._jobs.append(partial(self._renew_anchor, follower))
+            else:
+                self._show(follower)
         except (NotFiniteError, np.linalg.LinAlgError) as error:
             self._show_nothing(str(error))
             return
         if self.watch and self._pieces % PIECES_PER_LOOK == 1:
-            self._missing = missing_force(follower)
+            self._jobs.append(partial(self._look_for_missing, follower))
+
+    def _show(self, follower: Follower) -> None:
+        """Make the maximum on the memory the estimate."""
         shown = self._scope.shown(judged_parameters(follower, self._first))
         samples = follower.slow.n**2 / follower.slow.n2 * self._block
         likelihood = follower.fit.log_likelihood if follower.fit is not None else None
         self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=self._missing)
 
+    def _look_for_missing(self, follower: Follower) -> None:
+        """Renew what is said of missing force."""
+        self._missing = missing_force(follower)
+        if self._estimate.parameters:
+            self._estimate = replace(self._estimate, extra=self._missing)
+
     def _renew_anchor(self, follower: Follower) -> None:
-        """Renew the anchor from the last seconds, if they have enough whole blocks."""
+        """Renew the anchor from the last seconds, if they have enough whole blocks, and show the estimate."""
         block, first = self._block, self._kept[0].start + self._margin
         rows = (self._end - self._margin - first) // block * block
         motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
@@ -316,6 +342,7 @@ class RollingEstimator:
             follower.renew_anchor(data)
             if self._margin:
                 self._calm = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)
+        self._show(follower)
 
 
 def _sensor_gains(model: Model) -> Array:

@@ -21,7 +21,7 @@ from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
 from .cell_power import renewed_noise
-from .memory import Memory, Piece
+from .memory import Memory
 from .piece import piece_sums
 
 FAST_TIME_CONSTANT_REL = 0.25  # time constant of the fast memory over that of the slow one
@@ -95,7 +95,7 @@ class Follower:
         self.watched = Memory(keep=max(slow, float(np.exp(-1.0 / MIN_WATCHED_BLOCKS))))
         self.shared = 0.0  # sum of the products of the weights of `slow` and `fast`
         self.fit: PathFit | None = None
-        self._slope: tuple[Array, Array] | None = None  # of the determinant of a block, by increments and by tangents
+        self._slope = np.zeros(0), np.zeros(0)  # of the determinant of a block, by increments and by mean tangents
         self._changes_in_a_row, self._solutions = 0, 0
         self._anchored_level = np.ones(len(anchor.data.places))
         self._noise: tuple[Array, Array] | None = None  # nu and S other than those of the anchor
@@ -113,19 +113,20 @@ class Follower:
             self.watched.add(piece, None)
             K = self.anchor.own
             piece = replace(piece, gram=piece.gram[:, :, : 1 + K, : 1 + K], tangents=piece.tangents[:K])
-        score = self._score(piece)
+        score = None if self.fit is None else self._score(piece.gram, piece.blocks, piece.tangents, self.fit.S)
         self.slow.add(piece, score)
         self.fast.add(piece, score)
         self.shared += piece.blocks
 
-    def _score(self, piece: Piece) -> Array | None:
-        """(k,) slope of the log-likelihood of a piece at the estimate."""
-        if self.fit is None or self._slope is None:
-            return None
+    def _score(self, gram: Array, blocks: float, tangents: Array, S: Array) -> Array:
+        """(k,) slope of the log-likelihood of some blocks at the estimate.
+
+        gram : their sum. tangents : their mean. S : (places,) N^2/Hz.
+        """
         b, (own, by_tangent) = np.append(1.0, self.delta), self._slope
-        of_force = np.einsum("iab,b,i->a", piece.gram.sum(axis=0), b, 2.0 / self.fit.S)[1:]
-        moved = piece.tangents - self.slow.tangents / self.slow.n
-        return np.asarray(piece.blocks * (own + np.einsum("kijc,jic->k", moved, by_tangent)) - of_force)
+        of_force = np.einsum("iab,b,i->a", gram.sum(axis=0), b, 2.0 / S)[1:]
+        moved = tangents - self.slow.tangents / self.slow.n
+        return np.asarray(blocks * (own + np.einsum("kijc,ijc->k", moved, by_tangent)) - of_force)
 
     def solve(self) -> None:
         """Renew the estimate from the slow memory, and that memory if the recent data contradict it."""
@@ -148,13 +149,9 @@ class Follower:
 
     def _slopes(self, problem: Problem, delta: Array) -> tuple[Array, Array]:
         """Slopes of the determinant of a block by the increments (k,) and by the mean tangents (places, places, 2)."""
-        jacobian, tangents = problem.jacobian, problem.gram.tangents
-        slope = jacobian.derivatives(tangents, delta)[0]
-        inverse = np.linalg.inv(jacobian.tangent_matrix(tangents, delta)) * jacobian.weight[:, None, None]
-        s = self.anchor.s[:, None, None]
-        by_tangent = np.stack([(inverse / s**2).real.sum(axis=0), (inverse / s).real.sum(axis=0)], axis=-1)
-        noise = self.anchor.data.residual_is_noise
-        return slope, np.zeros_like(by_tangent) if noise else by_tangent
+        slope, by_matrix = problem.jacobian.slopes(problem.gram.tangents, delta)
+        s = self.anchor.s
+        return slope, np.stack([(by_matrix / s**power).real.sum(axis=2) for power in (2, 1)], axis=-1)
 
     def covariance(self) -> Array:
         """(k, k) of the increments, scaled: inverse Hessian, wider where the scores of the pieces scatter more."""
@@ -189,12 +186,14 @@ class Follower:
         return mean, np.sqrt(np.maximum(scatter, least) * m.n2) / m.n
 
     def _has_changed(self) -> bool:
-        """Whether the fast memory contradicts the slow one."""
-        f, s = self.fast, self.slow
-        recent = problem_of(self.anchor, f, self.anchor.own).fit(self.delta, 1)
+        """Whether the fast memory contradicts the slow one, by a score test."""
+        f, s, fit = self.fast, self.slow, self._maximum()
+        b, gram = np.append(1.0, self.delta), f.gram.sum(axis=0)
+        S = np.einsum("a,iab,b->i", b, gram, b) / f.kept.sum()
+        step = fit.covariance @ self._score(f.gram, f.n, f.tangents / f.n, S) * s.n / f.n
         spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
-        variance = np.diag(recent.covariance) * f.n * max(spread, 1e-9)
-        return bool(np.any(np.abs(recent.delta - self.delta) > MIN_CHANGE_SD * np.sqrt(variance)))
+        variance = np.diag(fit.covariance) * s.n * max(spread, 1e-9)
+        return bool(np.any(np.abs(step) > MIN_CHANGE_SD * np.sqrt(variance)))
 
     def _replace(self) -> None:
         """Replace the slow memory by the fast one, and clear that of the candidates, which has no recent one."""

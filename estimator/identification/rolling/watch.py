@@ -68,9 +68,8 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
     own, every = anchor.own, len(anchor.names)
     if own == every or memory.n < MIN_BLOCKS:
         return None
-    base = problem_of(anchor, memory, own).fit(follower.delta, 3)
     wide = problem_of(anchor, memory, every)
-    delta = np.concatenate([base.delta, np.zeros(every - own)])
+    delta = np.concatenate([follower.delta, np.zeros(every - own)])
     g, _, H = slope_and_curvature(wide.gram, wide.jacobian, THE_FOLD, wide.blocks, delta)
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     H, g = H * np.multiply.outer(scale, scale), g * scale
@@ -88,7 +87,7 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
         moved = np.zeros(every)
         moved[own + members], moved[:own] = step, follow[:, members] @ step
         moved *= scale
-        chance = redundancy * members.size * float(np.mean(base.S))  # S / 2 in the mean, each
+        chance = redundancy * members.size * float(np.mean(follower.excitation()))  # S / 2 in the mean, each
         power = float(np.einsum("a,iab,b->", moved, gram, moved)) - chance
         return float(step @ g[members]) / redundancy, max(power, 0.0) / max(linear, 1e-300)
 

@@ -234,7 +234,8 @@ def fit_increments(
             break
     b = np.concatenate([[1.0], delta])
     S = np.einsum("a,iab,b->i", b, G, b) / n
-    value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
+    value = best + 0.5 * float(penalty @ delta**2) - float((n * (1.0 + np.log(np.pi))).sum())
+    value += float(gram.log_weight[:, folds].sum())
     return PathFit(
         names=gram.names, delta=delta, covariance=information_inverse(H), S=S, log_likelihood=value, scales=gram.scales
     )

@@ -27,7 +27,7 @@ from estimator.likelihood.response.regressor_set import (
     with_second_order,
 )
 from estimator.likelihood.whitening.contour import continued_tangent, contour
-from estimator.likelihood.whitening.determinant import Jacobian
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights
 from estimator.likelihood.whitening.noise_bias import NoiseBias
 from estimator.likelihood.whitening.sensor_noise import SensorNoise, force_correlation, referred_noise
 from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
@@ -240,14 +240,14 @@ def _determinant(whitening: Whitening, A: Complexes, correction: Complexes) -> J
     s = whitening.s
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
     kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
-    return Jacobian(A, s, correction * there[:, None], kept)
+    return Jacobian(A, line_weights(s, kept), correction * there[:, None])
 
 
 def _noise_bias(whitening: Whitening, A: Complexes, nu: Array, S: Array) -> Jacobian:
     """What takes the place of the determinant where the residual force is noise. Arguments as of `point_at`."""
     noise = whitening.data.noise_shape * (nu * S)[:, None]
     kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
-    return NoiseBias(A, whitening.s, noise=noise, per_psd=whitening.weight / S[:, None], kept=kept)
+    return NoiseBias(A, noise=noise, per_psd=whitening.weight / S[:, None], kept=kept)
 
 
 def _to_measured(data: MotionRecord, noise: SensorNoise, A: Complexes, s: Complexes) -> Complexes | None:

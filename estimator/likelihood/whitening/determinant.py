@@ -37,6 +37,17 @@ def nonzero_rows_times(
     return term, row, out
 
 
+def line_weights(s: Complexes, kept: Array | None = None) -> Complexes:
+    """(bins,) weights of log det A whose real sum is that of 2 log det A ds / i along a line s (bins,) rad/s.
+
+    Where the line leaves the imaginary axis, the phase of det A contributes. kept : (bins,) share of each bin in the
+    likelihood; None: 1.
+    """
+    phase = (s.real[1:] + s.real[:-1]) / np.diff(s.imag).min()
+    kept = np.ones(s.size) if kept is None else kept
+    return np.asarray(2.0 * kept - 1j * np.diff(phase, prepend=0.0, append=0.0))
+
+
 CoupledResponse = tuple[NDArray[np.int64], Complexes]
 MODE_CROSSED_RAD = 1.5 * np.pi  # turn of det A: 2 pi when a mode crosses the line, pi when one leaves the band
 
@@ -44,10 +55,8 @@ MODE_CROSSED_RAD = 1.5 * np.pi  # turn of det A: 2 pi when a mode crosses the li
 class Jacobian:
     """2 sum_f log |det A(f)| per block, and its derivatives by increments of the parameters.
 
-    A0 : (bins, places, places) kg, A at the working point. s : (bins,) rad/s that A0 is given at; None: the imaginary
-    axis. Where the line leaves the axis, the phase of det A contributes: the real part of 2 log det A ds / i is summed.
-    second_order : (bins, places) kg, the part of A0 that is second-order correction; None: 0. kept : (bins,) share of
-    each bin in the likelihood; None: 1.
+    A0 : (bins, places, places) kg, A at the working point. weight : (bins,) of log det A in the sum, see
+    `line_weights`; None: 2. second_order : (bins, places) kg, the part of A0 that is second-order correction; None: 0.
 
     The second-order correction is quadratic in the amplitudes of the laws, and the tangent of a regressor has half of
     its derivative. The value with these derivatives is 2 log |det A| - Re tr(A^-1 second_order). Models are compared
@@ -55,16 +64,11 @@ class Jacobian:
     """
 
     def __init__(
-        self,
-        A0: Complexes,
-        s: Complexes | None = None,
-        second_order: Complexes | None = None,
-        kept: Array | None = None,
-    ) -> None:
-        self.A0, self.offset, self.kept = A0, 0.0, np.ones(len(A0)) if kept is None else kept
+        self, A0: Complexes, weight: Complexes | None = None, second_order: Complexes | None = None
+    ) -> None:  # fmt: skip
+        self.A0, self.offset = A0, 0.0
+        self.weight = np.full(len(A0), 2.0 + 0j) if weight is None else weight
         self.second_order = np.zeros(self.A0.shape[:2], complex) if second_order is None else second_order
-        self.phase = np.zeros(len(A0) - 1) if s is None else (s.real[1:] + s.real[:-1]) / np.diff(s.imag).min()
-        self.weight = 2.0 * self.kept - 1j * np.diff(self.phase, prepend=0.0, append=0.0)  # of log det A
         self._by_places: dict[bytes, tuple[Jacobian, CoupledResponse | None]] = {}  # every trial there asks for it
         self._set_reference()
 
@@ -77,7 +81,8 @@ class Jacobian:
 
     def _sum(self, determinant: Complexes, turned: Array) -> float:
         """The sum of 2 log |det A| along the line. turned : (bins - 1,) rad, phase steps of det A."""
-        return float(2 * self.kept @ np.log(np.abs(determinant)) - self.phase @ turned)
+        along, weight = np.append(0.0, np.cumsum(turned)), self.weight
+        return float(weight.real @ np.log(np.abs(determinant)) - weight.imag @ along)
 
     def of_places(self, places: NDArray[np.int64]) -> Jacobian:
         """The Jacobian of some places, the others eliminated: their response through the shaft stays in A0."""
@@ -139,6 +144,12 @@ class Jacobian:
         if turned.sum() < self.total_turn_rad - MODE_CROSSED_RAD:
             return -np.inf
         return self._sum(determinant, turned) - self.offset - self.half_trace
+
+    def slopes(self, tangents: Complexes, delta: Array) -> tuple[Array, Complexes]:
+        """Gradient (k,) by the increments, and slopes (places, places, bins) by the elements of A."""
+        inverse = _inverses(self.tangent_matrix(tangents, delta))
+        by_matrix = np.ascontiguousarray((inverse * self.weight[:, None, None]).T)
+        return (tangents.reshape(len(tangents), -1) @ by_matrix.ravel()).real, by_matrix
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and Hessian (k, k) by the increments."""

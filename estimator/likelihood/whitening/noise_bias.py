@@ -19,18 +19,24 @@ from .determinant import Jacobian
 class NoiseBias(Jacobian):
     """Power of the sensor noise in the residual forces over their PSD, summed over bins, in place of the determinant.
 
-    A0 : (bins, places, places) kg, A at the working point. s : (bins,) rad/s that the tangents are given at.
-    noise : (places, bins) PSD of the noise of each motion sensor, as acceleration. per_psd : (places, bins) one over
-    the PSD of each residual force, Hz/N^2. kept : (bins,) share of each bin in the likelihood; None: 1.
+    A0 : (bins, places, places) kg, A at the working point. noise : (places, bins) PSD of the noise of each motion
+    sensor, as acceleration. per_psd : (places, bins) one over the PSD of each residual force, Hz/N^2. kept : (bins,)
+    share of each bin in the likelihood; None: 1.
     """
 
-    def __init__(self, A0: Complexes, s: Complexes, noise: Array, per_psd: Array, kept: Array | None = None) -> None:
-        super().__init__(A0, s, None, kept)
-        self._share = np.einsum("f,if,jf->fij", self.kept, per_psd, noise)  # of noise of sensor j in force i
+    def __init__(self, A0: Complexes, noise: Array, per_psd: Array, kept: Array | None = None) -> None:
+        kept = np.ones(len(A0)) if kept is None else kept
+        super().__init__(A0)
+        self._share = np.einsum("f,if,jf->fij", kept, per_psd, noise)  # of noise of sensor j in force i
 
     def value(self, tangents: Complexes, delta: Array) -> float:
         """The sum at increments delta (k,), nats."""
         return float(np.sum(np.abs(self.tangent_matrix(tangents, delta)) ** 2 * self._share))
+
+    def slopes(self, tangents: Complexes, delta: Array) -> tuple[Array, Complexes]:
+        """Gradient (k,) by the increments, and slopes (places, places, bins) by the elements of A."""
+        by_matrix = 2 * np.moveaxis(self.tangent_matrix(tangents, delta).conj() * self._share, 0, -1)
+        return np.einsum("ijf,kijf->k", by_matrix, tangents, optimize=True).real, by_matrix
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and Hessian (k, k) by the increments."""

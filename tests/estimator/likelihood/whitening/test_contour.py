@@ -17,7 +17,7 @@ from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.likelihood.whitening.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
-from estimator.likelihood.whitening.determinant import Jacobian
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import shaft_matrix
@@ -37,7 +37,7 @@ def value(k: float, c: float) -> tuple[float, NDArray[np.float64], float]:
     iw = 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
-    J = Jacobian(continued_tangent(s, A, MASS, D), s)
+    J = Jacobian(continued_tangent(s, A, MASS, D), line_weights(s))
     units = tangent_response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), s)
     return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(s.real.max())
 
@@ -93,7 +93,8 @@ def test_a_disc_moves_with_the_caps_as_a_mode_that_nothing_damps(c: float, f_dis
     def value(c: float) -> float:
         A, D, disc = rotor(c, f_disc, 2 * np.pi * f)
         s = contour(A, CAPS, D, f, disc, BOTH)
-        return Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), s).value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
+        J = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), line_weights(s))
+        return J.value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
 
     def decay(c: float) -> float:
         _, D, disc = rotor(c, f_disc, np.ones(1))
@@ -125,7 +126,9 @@ def test_the_slopes_are_those_of_the_axis_where_bins_are_left_out(f_disc: float)
 
     s = contour(A, CAPS, D, f, disc, BOTH)
     assert s.real.max() > 50.0
-    found = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), s).derivatives(terms(s), np.zeros(5))[0]
+    J = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), line_weights(s))
+    found = J.derivatives(terms(s), np.zeros(5))[0]
+    assert J.slopes(terms(s), np.zeros(5))[0] == pytest.approx(found)
     on_axis = rotor(30.0, f_disc, 2 * np.pi * spread)[0]
     wanted = Jacobian(on_axis).derivatives(terms(2j * np.pi * spread), np.zeros(5))[0] / fine
     assert found == pytest.approx(wanted, rel=0.02)
@@ -139,7 +142,7 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
     D, iw = tangents(k, c), 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
-    J = Jacobian(continued_tangent(s, A, MASS, D), s)
+    J = Jacobian(continued_tangent(s, A, MASS, D), line_weights(s))
     damping = tangent_response(np.array([[[[0.0, 1.0]]]]), s)
     moved = J.value(damping, np.array([2 * MASS[0] * step])) - J.value(damping, np.zeros(1))
     assert moved == pytest.approx(BLOCK_S * step, abs=0.06 * BLOCK_S * abs(step) + 0.3)
