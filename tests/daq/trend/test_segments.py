@@ -173,7 +173,7 @@ def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
         yield [INFO]
         for k, reading in enumerate(blocks(0, 120_000)):
             if k == 20:
-                until(lambda: bool(segments(folder)), PATIENCE_S)
+                until(lambda: any(s.path.stat().st_size for s in segments(folder)), PATIENCE_S)  # it has begun
                 folder.rename(tmp_path / "moved")
                 folder.write_text("in the way")
             yield [reading]
