@@ -84,8 +84,9 @@ def _fit_messages(found: FullFit) -> tuple[Message, ...]:
     out = []
     if last_step_sd(point) > MAX_LAST_STEP_SD:
         out.append(Message("not_converged", "the fit did not converge, so all values are provisional: record longer"))
-    if point.data.lines:
-        words = lines_in_words(tuple(line.centre_hz for line in point.data.lines), found.model.speed_rpm)
+    low, high = point.data.band
+    if inside := tuple(hz for line in point.data.lines if low < (hz := line.centre_hz) < high):
+        words = lines_in_words(inside, found.model.speed_rpm)
         out.append(Message("lines_left_out", f"spectral lines left out of the fit: {words}"))
     return (*out, *(m for i in range(len(point.data.places)) for m in _not_white(point, i)))
 

@@ -13,7 +13,7 @@ from .tones import joined_bands, significant_lines
 
 
 def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
-    """The model that leaves the narrow lines of a record out of the force balance.
+    """The model that leaves the lines of a record out of the force balance.
 
     A line is no force of a state, and a random excitation tells nothing about it. The lines of the model's own periodic
     forces stay. All lines stay where a force is measured, as that may have them too, and where the model has a periodic
@@ -28,6 +28,6 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     if found is None:
         columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
         lines = significant_lines(channel_spectra(y, rate_hz, columns))
-        found = tuple(joined_bands(line.band for line in lines if line.narrow))
+        found = tuple(joined_bands(line.band for line in lines if line.is_left_out(model.band)))
     bands = tuple(b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
     return replace(model, line_bands=bands)

@@ -67,7 +67,8 @@ def survey_machine(
         strikes=tuple(strikes),
         messages=(*missing, *remarks, *struck, *more),
         line_bands={
-            name: tuple(line.band for line in lines if line.channel == name and line.narrow) for name in spectra
+            name: tuple(line.band for line in lines if line.channel == name and line.is_left_out(model.band))
+            for name in spectra
         },
     )
 

@@ -48,6 +48,10 @@ class Line:
     power_ratio: float
     narrow: bool
 
+    def is_left_out(self, band: tuple[float, float]) -> bool:
+        """Whether a force balance in a band (Hz) leaves the line out; beside the band it may be a resonance too."""
+        return self.narrow or not band[0] < self.hz < band[1]
+
     @property
     def band(self) -> LineBand:
         """The band that holds the line, skirts of one that wanders included."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.model.background import Background
 from estimator.model.disc import disc_of
-from estimator.model.rig import Model
+from estimator.model.rig import LineBand, Model
 from estimator.parallel import map_threads
 from estimator.results import Message
-from estimator.signals.band_limit import below_band_force
+from estimator.signals.band_limit import below_band_force, passband
 from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
@@ -31,6 +32,7 @@ from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_f
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+MIN_LINE_GAIN = 0.1  # of the band limit, for a line beside the band: it leaks into the band by its sidelobes
 MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
 # 25.6 kHz; a working point and its making take about 90 bytes a sample
@@ -119,9 +121,18 @@ def motion_record(
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model),
         periodic_below_band=below_band_forces(model, places), below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
-        lines=tuple(b for b in model.line_bands if model.band[0] < b.centre_hz < model.band[1]),
+        lines=_lines_passed(model, rate_hz),
         held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},
         background=model.background, **_spectra_of_model(model, f),
+    )  # fmt: skip
+
+
+def _lines_passed(model: Model, rate_hz: float) -> tuple[LineBand, ...]:
+    """The narrow lines that pass the band limit, also those beside the band, with the power that is left of them."""
+    gain = passband(np.array([b.centre_hz for b in model.line_bands]), rate_hz, model.band)
+    return tuple(
+        replace(b, power_over_psd_hz=b.power_over_psd_hz * g**2)
+        for b, g in zip(model.line_bands, gain.tolist(), strict=True) if g > MIN_LINE_GAIN
     )  # fmt: skip
 
 
