@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import BytesIO
 from typing import Any, TypeVar
 
@@ -18,6 +20,30 @@ MAX_THREADS = 2
 MAX_YIELDS = 100  # scheduler turns given to threads that have ended but are still listed
 T = TypeVar("T")
 R = TypeVar("R")
+_ONE_CORE = ContextVar("one core", default=False)
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Within it, this thread computes everything itself: for callers that have other work for the other cores.
+
+    Results are the same.
+    """
+    token = _ONE_CORE.set(True)
+    try:
+        yield
+    finally:
+        _ONE_CORE.reset(token)
+
+
+def _map_here(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], None] | None) -> list[R]:
+    """The results of a function for every item, computed one after another."""
+    out: list[R] = []
+    for item in items:
+        out.append(function(item))
+        if done is not None:
+            done(len(out))
+    return out
 
 
 def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], None] | None = None) -> list[R]:
@@ -37,6 +63,8 @@ def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[
     Exception
         The first exception of `function`.
     """
+    if _ONE_CORE.get():
+        return _map_here(function, items, done)
     out: list[R] = []
     with ThreadPoolExecutor(MAX_THREADS) as pool:
         for result in pool.map(function, items):
@@ -65,7 +93,7 @@ def map_processes(
     done : callable or None
         Called with the approximate number of results so far; None: no report.
     """
-    if len(questions) < 2 or not _alone():
+    if len(questions) < 2 or _ONE_CORE.get() or not _alone():
         return map_threads(lambda question: question(), questions, done)
     todo, supply = os.pipe()
     os.write(supply, b"".join(k.to_bytes(2, "little") for k in range(len(questions))))

@@ -60,6 +60,7 @@ def test_the_wheel_names_files_that_are_there() -> None:
             ["run", RIG, "--link", "virtual:", "--out", "x", "--segment", "10min"],
             "rotorscope[formats]",
         ),
+        (("distributed",), ["batch", "*.mcap", "--rig", RIG, "--out", "x"], "rotorscope[batch]"),
         (("prometheus_client",), ["run", RIG, "--link", "virtual:", "--metrics", "0"], "rotorscope[monitor]"),
     ],
 )

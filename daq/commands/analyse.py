@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
-import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from estimator.effects import MORE_LINES
-from estimator.results import NOT_JUDGED, Fit, Parameter, shared
-
-if TYPE_CHECKING:
-    pass
-
+from daq.analysis.answers import Method, about, compared, fitted, origin
 from daq.base.console.ahead import loaded
 from daq.base.console.extras import check_installed
 from daq.base.console.fitting import FittingTable
 from daq.base.console.memory import keep_freed
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import number, parameters_table
-from daq.base.contract.errors import ConfigError, LogError
+from daq.base.contract.errors import ConfigError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement, measure
 from daq.report.words import message_text
 from daq.rig.edit import of_channels, with_effect, with_values
-from daq.rig.rig import Rig, load_rig
+from daq.rig.rig import Rig, check_laws, load_rig
+from estimator.effects import MORE_LINES
+from estimator.results import NOT_JUDGED, Fit, Parameter, shared
 
-MIN_MISSING_SHARE = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 REPORT_MODULES = ("matplotlib", "jinja2")
 IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
-Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
@@ -72,45 +65,11 @@ def given(
 
     needed : modules to load while the log is read; to be imported after it.
     """
-    from .check import check_laws
-
     keep_freed()
     rig = of_channels(load_rig(rig_path), part.channels)
     check_laws(rig, rig_path)
     loaded(needed)
     return rig, measure(log, rig, output.note, part)
-
-
-def origin(log: Path, rig_path: Path, rig: Rig, data: Measurement) -> dict[str, Any]:
-    """Keys of every result of a record: what was analysed. from_s : where it begins in the record of the log."""
-    part = {} if data.from_s is None else {"from_s": data.from_s, "seconds": len(data.y) / data.rate_hz}
-    return part | {
-        "log": str(log),
-        "started": None if data.started is None else data.started.isoformat(),
-        "rig": str(rig_path),
-        "band": list(rig.model.band),
-        "rate_hz": data.rate_hz,
-    }
-
-
-@contextmanager
-def about(log: Path, data: Measurement) -> Iterator[None]:
-    """Say which record it is that cannot answer."""
-    from estimator.errors import DataError
-
-    try:
-        yield
-    except DataError as problem:
-        holes = float(np.mean(np.isnan(data.y).any(axis=1)))
-        why = f" ({100 * holes:.2g} % of it is missing or at full scale: mend the link, or use a larger range)"
-        raise LogError(f"{log}: {problem}{why if holes > MIN_MISSING_SHARE else ''}") from problem
-
-
-def fitted(rig: Rig, data: Measurement, method: Method) -> Fit:
-    """The fit of a record by the method's name."""
-    import estimator
-
-    return estimator.fit(rig.model, data.y, data.rate_hz, method=method)
 
 
 def _likelihood(result: Fit) -> str:
@@ -123,17 +82,15 @@ def compare(
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.comparison", *IN_USE), part)
     with about(log, data):
-        value = compared(output, rig, data)
+        value = shown_compared(output, rig, data)
     pages.write(rig, data, comparison=value)
     output.result(value | origin(log, rig_path, rig, data), *comparison_text(value), *pages.said())
 
 
-def compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
-    """The comparison of the model of a rig with a record, as JSON."""
-    from estimator.diagnosis.comparison import compare as compare_model
-
+def shown_compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
+    """The comparison of the model of a rig with a record, as JSON; with progress."""
     with output.progress("comparing") as progress:
-        return compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+        return compared(rig, data, progress)
 
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:

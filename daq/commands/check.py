@@ -10,10 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daq.base.console.output import Output
-from daq.base.contract.errors import ConfigError
-from daq.rig.problems import line_numbers
-from daq.rig.rig import Rig, load_rig
-from estimator.errors import ModelError
+from daq.rig.rig import Rig, check_laws, load_rig
 from estimator.model import Model
 
 OUR_PACKAGES = ("daq", "drivers", "estimator")
@@ -49,23 +46,6 @@ def overwritten() -> list[str]:
         for name, others in owners.items()
         if others
     ]
-
-
-def check_laws(rig: Rig, path: Path) -> None:
-    """ConfigError with its line for a law of the user's that is not finite."""
-    for use in rig.model.effects:
-        if use.custom is not None:
-            from estimator.effects.engine import custom_effect
-
-            try:
-                custom_effect(use)
-            except ModelError as error:
-                number = next((k for k, c in enumerate(rig.file.model.custom) if c.name == use.name), 0)
-                key = "module" if use.custom.expression is None else "expression"
-                line = line_numbers(rig.text).get(("model", "custom", number, key))
-                where = f"{path}:{line}: " if line else f"{path}: "
-                text = f"model.custom[{number}].{key}: {error}; correct it, or give values within its range"
-                raise ConfigError(where + text) from error
 
 
 def _facts(rig: Rig) -> dict[str, Any]:

@@ -17,20 +17,20 @@ from estimator.results import NOT_JUDGED, RIG_FILE
 if TYPE_CHECKING:
     from estimator.diagnosis.verdict import Improvement
 
+from daq.analysis.answers import about, diagnosed, origin
 from daq.base.console.fitting import FittingTable
 from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import ladder_table, number
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement
-from daq.report.first_numbers import with_severity
 from daq.report.layers import lines as layer_lines
 from daq.report.signal_spectra import signal_spectra
 from daq.report.words import is_of_the_model, message_text
 from daq.rig.edit import of_channels, with_effect, with_values
 from daq.rig.rig import Rig, load_rig
 
-from .analyse import IN_USE, Pages, about, compared, given, origin, step
+from .analyse import IN_USE, Pages, given, shown_compared, step
 
 REASON_CODES = (NOT_JUDGED, "bearing_not_judged")  # said with the layers
 _OUTSIDE_CATALOGUE = "the catalogue does not hold; type a law of your own into the rig file"
@@ -49,14 +49,8 @@ def diagnose(
 ) -> None:
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict", *IN_USE), part)
-    from estimator.diagnosis.verdict import diagnose as diagnose_model
-    from estimator.identification.record import severity
-
     with output.progress("diagnosing") as progress, about(log, data):
-        found = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress)
-        value = found.to_json()
-        levels = severity(rig.model, data.y, data.rate_hz, found.record, data.full_scale)
-        value["record"] = with_severity(value["record"], levels)
+        value = diagnosed(rig, data, progress)
     if pages:
         _write_pages(output, pages, rig, data, value)
     people = [*layers_text(value, si_units(rig)), *diagnosis_text(value), *pages.said()]
@@ -72,10 +66,10 @@ def _write_pages(output: Output, pages: Pages, rig: Rig, data: Measurement, valu
     if not value["bearing"]["judged"]:
         pages.write(rig, data, **parts)
         return
-    now = compared(output, rig, data)
+    now = shown_compared(output, rig, data)
     better = with_verdict(rig, value)
     try:
-        after = None if better is None else compared(output, better, data)
+        after = None if better is None else shown_compared(output, better, data)
     except DataError:  # the verdict is of the signal, and no model of the bearings
         after = None
     if better is None or after is None:
@@ -185,8 +179,8 @@ def improve(
     better = of_channels(whole, part.channels)
     write_whole(out, text)
     if pages:
-        before = compared(output, rig, data)
-        now = compared(output, better, data) if len(ladder.rungs) > 1 else None
+        before = shown_compared(output, rig, data)
+        now = shown_compared(output, better, data) if len(ladder.rungs) > 1 else None
         pages.write(
             better, data, comparison=now or before, before=now and before, ladder=value["ladder"],
             diagnoses=[d.to_json() for d in ladder.diagnoses], notes=value["messages"],

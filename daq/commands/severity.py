@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from daq.analysis.answers import about, measured, origin, severity_document
 from daq.base.console.fitting import FittingTable
 from daq.base.console.output import Output
 from daq.base.contract.part import WHOLE_RECORD, Part
@@ -13,7 +14,7 @@ from daq.exchange.measurement import Measurement
 from daq.report.first_numbers import band_rows, severity_rows, void_lines, with_severity, zone_line
 from daq.rig.rig import Rig
 
-from .analyse import Pages, about, given, origin
+from .analyse import Pages, given
 
 
 def severity(
@@ -21,23 +22,10 @@ def severity(
 ) -> None:
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path, ("estimator.identification.record",), part)
-    from estimator.identification.record import severity as severity_of
-    from estimator.identification.record import survey_record
-
     with output.progress("measuring"), about(log, data):
-        survey = survey_record(rig.model, data.y, data.rate_hz)
-        levels = severity_of(rig.model, data.y, data.rate_hz, survey, data.full_scale)
-    channels = {name: own.to_json() for name, own in levels.items()}
-    own = rig.model.iso20816
-    machine = None if own is None else {"part": 3, "group": own.group, "support": own.support}
-    findings = [finding.to_json() for finding in survey.findings]
-    value: dict[str, Any] = {
-        "schema": 1,
-        "channels": channels,
-        "zone": max((c["zone"] for c in channels.values() if c["zone"]), default=None),
-        "iso20816": machine,
-        "findings": findings,
-    }
+        survey, levels = measured(rig, data)
+    value = severity_document(rig, survey, levels)
+    channels, machine, findings = (value[key] for key in ("channels", "iso20816", "findings"))
     said = [line for line in (zone_line(channels, machine),) if line]
     if pages:
         record = with_severity(survey.to_json(), levels)

@@ -42,10 +42,14 @@ class Measurement:
     full_scale: Mapping[str, int] = field(default_factory=dict)
 
 
-def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOLE_RECORD) -> Measurement:
+def measure(
+    path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOLE_RECORD,
+    afford: Callable[[int], None] | None = None,
+) -> Measurement:  # fmt: skip
     """The record of the rig's channels in a log, or in any file that `rotorscope import` reads; a part of it in time.
 
-    note : called with one line for everything that is left out or differs from the rig file.
+    note : called with one line for everything that is left out or differs from the rig file. afford : called with the
+    number of samples of all channels, before those of a log are read; what it raises is raised.
     Raises LogError: a channel is missing, the file cannot be read, or the band does not fit the rate; ConfigError:
     nothing lies in the part.
     """
@@ -54,12 +58,16 @@ def measure(path: Path, rig: Rig, note: Callable[[str], None], part: Part = WHOL
         from daq.log.rig_samples import rig_samples
 
         log = read_log(path, part=replace(part, channels=()))
+        if afford is not None:
+            afford((log.stop - log.first) * len(rig.model.channels))
         y, full_scale = rig_samples(log, rig, note, _dtype(log, rig))
         started, rate_hz, from_s = log.started, log.rate_hz, log.from_s
     else:
         from .checks import load
 
         record = load(path, rig, None, note, part=part)
+        if afford is not None:
+            afford(sum(map(len, record.values)))
         started = None if record.started_ns is None else datetime.fromtimestamp(record.started_ns // 1000 / 1e6, UTC)
         y, rate_hz, from_s, full_scale = record.si(), record.rate_hz, record.from_s, {}
     facts = {"log": path.name, "record": f"{len(y) / rate_hz:.4g} s at {rate_hz:g} Hz"}

@@ -182,6 +182,24 @@ def load_rig(path: str | Path) -> Rig:
     return Rig.parse(text, path.parent, path, str(path))
 
 
+def check_laws(rig: Rig, path: Path) -> None:
+    """ConfigError with its line for a law of the user's that is not finite."""
+    for use in rig.model.effects:
+        if use.custom is not None:
+            from estimator.effects.engine import custom_effect
+            from estimator.errors import ModelError
+
+            try:
+                custom_effect(use)
+            except ModelError as error:
+                number = next((k for k, c in enumerate(rig.file.model.custom) if c.name == use.name), 0)
+                key = "module" if use.custom.expression is None else "expression"
+                line = line_numbers(rig.text).get(("model", "custom", number, key))
+                where = f"{path}:{line}: " if line else f"{path}: "
+                text = f"model.custom[{number}].{key}: {error}; correct it, or give values within its range"
+                raise ConfigError(where + text) from error
+
+
 def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
     """Each table by itself, so that a mistake in one hides none in another; and what the tables say together."""
     problems: list[Problem] = []

@@ -25,7 +25,7 @@ PAPER = ROOT / "configs" / "tiwari_vyas_1997.toml"
 SCHEMAS = ROOT / "tests" / "data" / "schemas"
 COMMANDS = [
     "demo", "init", "run", "simulate", "replay", "severity", "fit", "compare", "diagnose", "improve", "theory",
-    "reproduce", "add", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info",
+    "reproduce", "add", "batch", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info",
     "ports",
 ]  # fmt: skip
 

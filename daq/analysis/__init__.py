@@ -1,0 +1,1 @@
+"""What a record answers, as the JSON documents that commands write."""

@@ -1,0 +1,1 @@
+"""Many logs at once: every analysis of an archive on Dask, with the answers as tables."""

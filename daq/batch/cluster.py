@@ -1,0 +1,108 @@
+"""The Dask cluster that a batch works on: processes of this computer, or one that exists, by its address."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from daq.base.contract.errors import ConfigError
+from drivers.contract import LinkError
+
+LOCAL_WORD = "local"
+ANSWER_S = 20  # for a scheduler to answer, and for a first worker to be there
+CLOSE_S = 2  # for workers that are asked to end
+MAX_DEATHS = 2  # of workers over one task, before it is taken for the cause
+
+
+@contextmanager
+def connected(address: str | None) -> Iterator[Any]:
+    """A Dask client. address : "local:N", None for as many processes as there are cores, or that of a scheduler.
+
+    Raises ConfigError for an address that is none, LinkError where no scheduler answers or it has no workers.
+    """
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    word, _, count = (address or LOCAL_WORD).partition(":")
+    if word == LOCAL_WORD:
+        if count and not (count.isdecimal() and 0 < int(count) < 1000):
+            raise ConfigError(f"--scheduler {address}: give the number of processes, such as local:4")
+        with _here(int(count or cores())) as client:
+            yield client
+    elif "://" not in str(address):
+        raise ConfigError(f"--scheduler {address}: give local:N, or an address such as tcp://10.0.0.5:8786")
+    else:
+        with _there(str(address)) as client:
+            yield client
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _here(count: int) -> Iterator[Any]:
+    import dask
+    from distributed import Client, LocalCluster
+
+    with dask.config.set({"distributed.scheduler.allowed-failures": MAX_DEATHS}), uninterrupted_children():
+        cluster = LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=logging.CRITICAL
+        )
+    client = Client(cluster, set_as_default=False)
+    try:
+        yield client
+    except BaseException:
+        _kill(cluster)
+        raise
+    finally:
+        with suppress(Exception):  # of what does not end in time, and ends with us
+            client.close(timeout=CLOSE_S)
+        with suppress(Exception):
+            cluster.close(timeout=CLOSE_S)
+
+
+def _kill(cluster: Any) -> None:
+    """End workers in the middle of their tasks: what they do is wanted no more."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        with suppress(ProcessLookupError, TypeError):  # it has ended, or never began
+            os.kill(nanny.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+@contextmanager
+def uninterrupted_children() -> Iterator[None]:
+    """Processes that are started within ignore Ctrl-C: a terminal sends it to them too, and they are to be asked."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _there(address: str) -> Iterator[Any]:
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=ANSWER_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        text = "no Dask scheduler answers there; start one with `dask scheduler`, or check the address"
+        raise LinkError(f"{address}: {text}") from error
+    try:
+        try:
+            client.wait_for_workers(1, timeout=ANSWER_S)
+        except TimeoutError as error:
+            text = f"the scheduler has no workers; start some: dask worker {address} --nthreads 1 --nworkers auto"
+            raise LinkError(f"{address}: {text}") from error
+        yield client
+    finally:
+        with suppress(Exception):  # the scheduler may be gone
+            client.close(timeout=CLOSE_S)
