@@ -12,7 +12,7 @@ NO_EVIDENCE = 1.0  # p-value of a record in which no candidate came as far as a 
 
 def rows_of(analysis: str, document: Document) -> Rows:
     """The rows of a document, without the columns that say of which run they are."""
-    return _ROWS[analysis](document)
+    return _ROWS_OF_ANALYSIS[analysis](document)
 
 
 def _severity(document: Document) -> Rows:
@@ -61,7 +61,7 @@ def _diagnose(document: Document) -> Rows:
     return {"verdicts": [row]}
 
 
-_ROWS: dict[str, Callable[[Document], Rows]] = {
+_ROWS_OF_ANALYSIS: dict[str, Callable[[Document], Rows]] = {
     "severity": _severity,
     "fit": _fit,
     "compare": _compare,

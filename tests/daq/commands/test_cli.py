@@ -25,8 +25,8 @@ PAPER = ROOT / "configs" / "tiwari_vyas_1997.toml"
 SCHEMAS = ROOT / "tests" / "data" / "schemas"
 COMMANDS = [
     "demo", "init", "run", "simulate", "replay", "severity", "fit", "compare", "diagnose", "improve", "theory",
-    "reproduce", "add", "batch", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info",
-    "ports",
+    "reproduce", "add", "batch", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover",
+    "info", "ports",
 ]  # fmt: skip
 
 
