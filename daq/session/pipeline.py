@@ -74,6 +74,7 @@ class Pipeline:
     ) -> None:  # fmt: skip
         self._plan = plan
         self._sinks = list(sinks)
+        self._reporting = [s for s in self._sinks if isinstance(s, Reporting)]
         self._clock = clock
         self._live = live
         self._notify = notify
@@ -153,7 +154,7 @@ class Pipeline:
         self._status_ns, self._status_samples = now, samples
         if self._live:
             self._watch.wall_clock()
-        health = {type(s).__name__: s.health() for s in self._sinks if isinstance(s, Reporting)}
+        health = {type(s).__name__: s.health() for s in self._reporting}
         for report in health.values():
             self._unsaid += report.notices
         clock = self.device_clock.state() if self.device_clock else None
@@ -363,12 +364,11 @@ class Pipeline:
 
     def _hear_sinks(self) -> None:
         self.pending = False
-        for sink in self._sinks:
-            if isinstance(sink, Reporting):
-                health = sink.health()
-                self.pending |= health.pending
-                self._unsaid += health.notices
-                self.dropped[type(sink).__name__] = health.dropped
+        for sink in self._reporting:
+            health = sink.health()
+            self.pending |= health.pending
+            self._unsaid += health.notices
+            self.dropped[type(sink).__name__] = health.dropped
 
     def _each_sink(self, what: str, call: Callable[[Sink], None]) -> None:
         for sink in list(self._sinks):
@@ -378,6 +378,7 @@ class Pipeline:
                 self._report(sink, f"{what}: {error.strerror or error}; it is tried again")
             except Exception as error:  # a defect there must not stop acquisition
                 self._sinks.remove(sink)
+                self._reporting = [other for other in self._reporting if other is not sink]
                 if isinstance(error, LogError) and not self._live and what != "close":
                     raise  # nobody is acquiring: without its log there is no point in going on
                 if isinstance(sink, Reporting):

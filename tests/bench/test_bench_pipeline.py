@@ -175,11 +175,12 @@ def test_400_thousand_samples_a_second_without_a_gap(tmp_path: Path, method: str
 
 
 @pytest.mark.parametrize("method", estimators())
-def test_60_thousand_samples_a_second_on_less_than_a_third_of_a_core(tmp_path: Path, method: str) -> None:
-    summary, cpu, _ = run(tmp_path, 60e3, 10.0, maker(method, 10.0))
-    print(f"\n60 kS/s of 4 channels, {method}: {summary.lost_samples} lost, {100 * cpu:.1f} % of a core (asked: 30)")
+def test_60_thousand_samples_a_second_on_less_than_a_fifth_of_a_core(tmp_path: Path, method: str) -> None:
+    """Half a minute from the start of the session, the first fit included: that takes a second."""
+    summary, cpu, _ = run(tmp_path, 60e3, 30.0, maker(method, 10.0))
+    print(f"\n60 kS/s of 4 channels, {method}: {summary.lost_samples} lost, {100 * cpu:.1f} % of a core (asked: 20)")
     assert summary.lost_samples == 0
-    assert cpu < 0.30 * 1.5  # budget with room for a busy machine
+    assert cpu < 0.20 * 1.5  # budget with room for a busy machine
 
 
 @pytest.mark.parametrize("method", estimators())
@@ -199,7 +200,7 @@ def test_last_byte_to_logged_estimate(tmp_path: Path, method: str) -> None:
         f"\nlast byte sent to estimate logged, {method}: p50 {p50:.1f} ms, p99 {p99:.1f} ms (asked: 50), "
         f"worst {max(latency_ms):.0f} ms of {len(latency_ms)}; load {os.getloadavg()[0]:.0f}"
     )
-    assert p99 < 50 * 2
+    assert p99 < 50
 
 
 def write_long(path: Path, seconds: float, rate_hz: float = 25_600.0) -> None:
