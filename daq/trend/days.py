@@ -21,7 +21,6 @@ TREND_SCHEMA = "1"  # version of the columns
 VERSION_KEY = b"rotorscope.trend"
 PYARROW_EXTRA = "formats"  # of the package
 STREAM_SUFFIX, DAY_SUFFIX = ".arrows", ".parquet"
-DAY_NS = 86_400 * 10**9
 MAX_PENDING = 20_000  # rows that wait for the disk: hours
 
 
@@ -166,22 +165,16 @@ def stream_tables(path: Path) -> Iterator[Any]:
             yield pa.Table.from_batches([batch])
 
 
-def read_days(folder: Path, since_ns: int | None = None) -> Any:
-    """All rows of a trend from a Unix time on, in the order of time: an Arrow table. Raises OSError."""
-    pa, parquet = (
-        arrow(),
-        arrow("pyarrow.parquet"),
-    )
-    first = "" if since_ns is None else day_name(since_ns)
-    parts = []
-    for day in sorted({*days_of(folder, DAY_SUFFIX), *days_of(folder, STREAM_SUFFIX)}):
-        if day < first:
-            continue
-        path = folder / f"{day}{DAY_SUFFIX}"
-        parts += [parquet.read_table(path)] if path.exists() else []
-        parts += [batch for stream in streams(folder, day) for batch in stream_tables(stream)]
-    whole = pa.concat_tables([part.cast(schema()) for part in parts]) if parts else schema().empty_table()
-    if since_ns is not None:
-        from_time = pa.scalar(since_ns // 1000, pa.timestamp("us", tz="UTC"))
-        whole = whole.filter(arrow("pyarrow.compute").greater_equal(whole["time"], from_time))
+def read_day(folder: Path, day: str) -> Any:
+    """All rows of a day, in the order of time: an Arrow table. Raises OSError."""
+    path = folder / f"{day}{DAY_SUFFIX}"
+    parts = [arrow("pyarrow.parquet").read_table(path)] if path.exists() else []
+    parts += [batch for stream in streams(folder, day) for batch in stream_tables(stream)]
+    whole = arrow().concat_tables([part.cast(schema()) for part in parts]) if parts else schema().empty_table()
     return whole.sort_by("time")
+
+
+def read_days(folder: Path) -> Any:
+    """All rows of a trend, in the order of time: an Arrow table. Raises OSError."""
+    days = sorted({*days_of(folder, DAY_SUFFIX), *days_of(folder, STREAM_SUFFIX)})
+    return arrow().concat_tables([read_day(folder, day) for day in days] or [schema().empty_table()])

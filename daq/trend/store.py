@@ -12,6 +12,7 @@ from daq.base.contract.clock import Clock, SystemClock
 from daq.base.contract.sink import Session, SinkHealth, Status
 from daq.report.layers import tone_name
 from drivers.contract import Block, Gap, Info, Notice, Reading
+from estimator.model import MachineClass
 from estimator.results import MISSING_FORCE_KEY, Estimate
 
 from .chores import Chores
@@ -51,10 +52,11 @@ class TrendStore:
         self._layers: deque[Json] = deque(maxlen=1000)
         self._lost: Counter[str] = Counter()
         self._rows: list[Row] = []
+        self._limits: MachineClass | None = None  # not told yet
         self._chores = Chores("trend", self._failed)
 
     def start(self, session: Session) -> None:
-        self._rate_hz = session.info.rate_hz
+        self._rate_hz, self._limits = session.info.rate_hz, session.model.iso20816
 
     def readings(self, batch: Sequence[Reading]) -> None:
         for reading in batch:
@@ -110,6 +112,8 @@ class TrendStore:
     def _collect(self) -> None:
         """Hand on what has come since the last time."""
         rows, self._rows = self._rows, []
+        rows += zone_rows(self._limits, self._now_ns)
+        self._limits = None
         if self._estimate is not None:
             behind_ns = round((self._stop - 1 - self._estimate.index) * 1e9 / self._rate_hz)
             rows += estimate_rows(self._estimate, self._now_ns - behind_ns)
@@ -146,10 +150,20 @@ class TrendStore:
             self._notices.append(Notice(self._clock.now_ns(), "error", "trend_fault", text))
 
 
+def zone_rows(machine: MachineClass | None, time_ns: int) -> Iterator[Row]:
+    """The velocities at which the zones B, C and D of ISO 20816-3 begin, mm/s rms; nothing of an unknown machine."""
+    if machine is None:
+        return
+    from estimator.identification.record import ISO_20816_3_LIMITS
+
+    for zone, limit in zip("BCD", ISO_20816_3_LIMITS[machine.group, machine.support][0], strict=True):
+        yield Row(time_ns, "zone_limit", zone, limit, unit="mm/s")
+
+
 def estimate_rows(estimate: Estimate, time_ns: int) -> Iterator[Row]:
-    """The identifiable parameters, and the force that is missing."""
+    """The parameters that the data determine, and the force that is missing."""
     for name, p in estimate.parameters.items():
-        if p.value is not None and p.identifiable:
+        if p.value is not None and p.identifiable and p.sd != 0:  # 0: given
             yield Row(time_ns, "estimate", name, value=p.value, sd=p.sd, unit=p.unit)
     for name, value in (estimate.extra or {}).items():
         if name.startswith(MISSING_FORCE_KEY):

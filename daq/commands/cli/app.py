@@ -18,7 +18,7 @@ from daq.base.console.output import tell, to_nowhere  # noqa: E402
 from daq.base.console.stop import asked  # noqa: E402
 from daq.base.contract.errors import exit_status  # noqa: E402
 
-from . import analyse, archive, demo, files, live, model  # noqa: E402
+from . import analyse, archive, demo, files, live, model, trend  # noqa: E402
 
 INTERRUPTED_STATUS = 130  # 128 + SIGINT
 ABOUT_TEXT = (
@@ -55,7 +55,7 @@ def application(only: str = "") -> typer.Typer:
     ) -> None:
         pass
 
-    for group in (demo, live, analyse, archive, model, files):
+    for group in (demo, live, trend, analyse, archive, model, files):
         group.register(app)
     named = [c for c in app.registered_commands if only == (c.name or getattr(c.callback, "__name__", None))]
     app.registered_commands = named or app.registered_commands

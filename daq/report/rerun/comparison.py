@@ -59,7 +59,7 @@ def log_comparison(
     import rerun as rr
 
     recording = rr.RecordingStream("rotorscope_comparison")
-    _connect(recording, target)
+    connect(recording, target)
     rr.set_log_time_enabled(False, recording=recording)
     rr.set_log_tick_enabled(False, recording=recording)
     recording.send_recording_name(title)
@@ -93,7 +93,7 @@ def log_comparison(
     recording.disconnect()
 
 
-def _connect(recording: Any, target: str) -> None:
+def connect(recording: Any, target: str) -> None:
     """To a file, or to a viewer that is there or is started."""
     import time
 

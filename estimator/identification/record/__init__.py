@@ -3,12 +3,13 @@
 from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
-from .severity import ChannelSeverity, iso_zone, severity
+from .severity import ISO_20816_3_LIMITS, ChannelSeverity, iso_zone, severity
 from .spikes import spike_rows
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
 
 __all__ = [
+    "ISO_20816_3_LIMITS",
     "CLIPPED_CODE",
     "ChannelSeverity",
     "ChannelSummary",

@@ -25,8 +25,8 @@ LAYERS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def rows(folder: Path, since_ns: int | None = None) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = read_days(folder, since_ns).to_pylist()
+def rows(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = read_days(folder).to_pylist()
     return found
 
 
@@ -38,7 +38,6 @@ def test_a_day_is_a_file(tmp_path: Path) -> None:
         "2023-11-15.parquet", "2023-11-16.parquet", "2023-11-17.0.arrows",
     ]  # fmt: skip
     assert [r["value"] for r in rows(tmp_path)] == [0.0, 1.0, 2.0]
-    assert [r["value"] for r in rows(tmp_path, T0_NS + DAY_S * S_NS)] == [1.0, 2.0]
     writer.end_day()
     again = DayWriter(tmp_path)
     again.append([Row(T0_NS + 2 * DAY_S * S_NS + 5, "estimate", "a", 9.0)])
