@@ -1,7 +1,8 @@
 """Says while a session runs what the layers of a diagnosis see: the record, the machine and the structure.
 
 What makes a channel unfit to be judged, and a strike train, are said as they come. A window of ten seconds is looked
-at, one after the other, so a strike train is flagged within 20 s of its beginning.
+at, one after the other, so a strike train is flagged within 20 s of its beginning. At high rates only the end of each
+window is looked at: 131072 samples a channel, and not less than 5 s.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from estimator.identification.structure import StructureSurvey
 
 WINDOW_S = 10.0  # that is looked at, one after the other
+COSTLY_ROWS = 131_072  # of a window, beyond which its beginning is left out: 5.1 s at 25.6 kHz, at half the cost;
+LEAST_LOOK_S = 5.0  # but no more than half: a strike train then has to be 1.2 times as strong to be found
 STRUCTURE_EVERY = 3  # windows: modes change slowly
 FORGET_WINDOWS = 3  # without a train or a tone, before it is said again
 SAID_ELSEWHERE = frozenset({"gaps", "missing_samples", "empty_channel"})  # by the ledger and the watch of the link
@@ -98,30 +101,35 @@ class LayerWatch:
             if self._live:
                 return
             self._thread.join()
-        y = self._kept.samples(window * rows, (window + 1) * rows)
+        stop, looked_at = (window + 1) * rows, max(COSTLY_ROWS, round(LEAST_LOOK_S * self._kept.rate_hz))
+        first = max(window * rows, stop - looked_at)
+        y = self._kept.samples(first, stop)
         self._thread = threading.Thread(
             target=self._survey,
-            args=(y, self._kept.rate_hz, window, self._kept.full_scale),
+            args=(y, self._kept.rate_hz, window, first, self._kept.full_scale),
             name="layer watch",
             daemon=True,
         )
         self._thread.start()
 
-    def _survey(self, y: NDArray[np.float64], rate_hz: float, window: int, full_scale: Mapping[str, int]) -> None:
-        """Say what is new in a window. window : its number. full_scale : channel -> its samples that are left out."""
+    def _survey(
+        self, y: NDArray[np.float64], rate_hz: float, window: int, first: int, full_scale: Mapping[str, int]
+    ) -> None:
+        """Say what is new in a window. window : its number. first : absolute index of its first sample that is looked
+        at. full_scale : channel -> its samples that are left out."""
         from estimator.identification.machine import survey_machine
         from estimator.identification.record import severity, survey_record, without_spikes
         from estimator.identification.structure import survey_structure
 
         record = survey_record(self._model, y, rate_hz)
-        first_s = window * len(y) / rate_hz
-        of_window = f" (times from {first_s:.0f} s on)" if window else ""
+        first_s = first / rate_hz
+        of_window = f" (times from {first_s:.4g} s on)" if first else ""
         for finding in record.findings:
             if finding.code not in SAID_ELSEWHERE and self._is_new((finding.code, *finding.channels), window):
                 self._say("warning", RECORD_FINDING, finding.text + of_window)
         y = without_spikes(self._model, y, record)
         machine = survey_machine(self._model, y, rate_hz, record, live=True)
-        when = f"{first_s:.0f} to {first_s + len(y) / rate_hz:.0f} s"
+        when = f"{first_s:.4g} to {first_s + len(y) / rate_hz:.4g} s"
         told = machine.to_json()
         for train in told["strikes"]:
             if self._is_new((STRIKES_FOUND, train["name"]), window):
