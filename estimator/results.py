@@ -266,7 +266,7 @@ class Estimate:
     log_likelihood : float or None
         Log-likelihood in nats; None where the estimator has none.
     status : str
-        ``"ok"``, ``"warming up"``, or why nothing is shown.
+        ``"ok"``, how far the warm-up is, or why nothing is shown.
     extra : mapping of str to float, or None
         Further numbers by name, such as ``missing_force_percent``; None where there are none.
     """
@@ -283,6 +283,7 @@ class Estimate:
 # Key of `Estimate.extra`, per cent of the bearing force: of all candidates together; with "_EFFECT" behind it, of one
 # candidate that is certainly missing.
 MISSING_FORCE_KEY = "missing_force_percent"
+WARM_UP_S_KEY, WARM_UP_NEEDED_S_KEY = "warm_up_s", "warm_up_needed_s"  # keys of `Estimate.extra`, before the first fit
 SPIKES_KEY = "spikes_left_out"  # key of `Estimate.extra`: single samples far outside all others, since the start
 
 

@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.sink import Session, Status
 from drivers.contract import Block, Gap, LinkStats, Notice, Reading
-from estimator.results import Estimate
+from estimator.results import WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
 
 from .metrics_http import serve
 
@@ -44,6 +44,7 @@ VALUE_METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "estimate": ("Rolling estimate; absent where the data cannot tell.", ("parameter", "unit")),
     "estimate_sd": ("Its standard deviation.", ("parameter", "unit")),
     "missing_force_percent": ("Still predictable part of the bearing force.", ("which",)),
+    "warm_up_seconds": ("Data before the first rolling estimate; absent afterwards.", ("which",)),
 }
 
 
@@ -132,7 +133,13 @@ class MetricsSink:
                     self.numbers.pop(key, None)
                 else:
                     self.numbers[key] = value
-        for name, value in (estimate.extra or {}).items():
+        extra = estimate.extra or {}
+        for which, name in (("seen", WARM_UP_S_KEY), ("needed", WARM_UP_NEEDED_S_KEY)):
+            if name in extra:
+                self.numbers["warm_up_seconds", which] = extra[name]
+            else:
+                self.numbers.pop(("warm_up_seconds", which), None)
+        for name, value in extra.items():
             if name.startswith("missing_force"):
                 which = name.removeprefix("missing_force_percent").strip("_") or "value"
                 self.numbers[("missing_force_percent", which)] = value

@@ -17,7 +17,7 @@ from daq.base.contract.scaling import full_scale_count
 from daq.base.contract.sink import ClockState, Status
 from daq.report.numbers import unit_text
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
-from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
+from estimator.results import MISSING_FORCE_KEY, WARM_UP_S_KEY, Estimate, certain_missing_effects
 
 from .layout import BAD_COLOUR, DEVICE_TIME, GOOD_COLOUR, HOST_TIME, IDLE_COLOUR, colour, layout, part
 from .signal import envelope
@@ -242,7 +242,7 @@ class RerunView:
                 self._to.log(f"missing_force/{part(name)}", rr.Scalars(value), style)
             self._sure.update(sure)
             self._state("model", A_FORCE if sure else NOTHING_MISSING, estimate.index)
-        self._state("estimator", estimate.status, estimate.index)
+        self._state("estimator", "warming up" if WARM_UP_S_KEY in extra else estimate.status, estimate.index)
         if new:
             self._lay_out()
 

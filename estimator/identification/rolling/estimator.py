@@ -28,7 +28,7 @@ from estimator.likelihood.motion.force_balance import force_channels, motion_cha
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.rig import Model
-from estimator.results import SPIKES_KEY, Estimate
+from estimator.results import SPIKES_KEY, WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion, half_length
 from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
@@ -86,7 +86,8 @@ class RollingEstimator:
     ``update(block)`` takes the next rows, (n, channels) float64 in SI units, columns in the order of
     ``model.channels``, NaN where a sample is missing or clipped. It never raises on data, does not change the block and
     keeps no reference to it. ``snapshot()`` returns an `Estimate` and has no side effect. Before the first estimate,
-    and where the data allow none, ``parameters`` is empty and ``status`` says why.
+    and where the data allow none, ``parameters`` is empty and ``status`` says why. During the warm-up `extra` holds
+    ``warm_up_s`` and ``warm_up_needed_s``.
 
     Examples
     --------
@@ -139,7 +140,7 @@ class RollingEstimator:
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
         self._spikes = 0  # samples left out
         self._missing: dict[str, float] | None = None
-        self._estimate = Estimate(0, {}, 0.0, status="warming up")
+        self._estimate: Estimate | None = None  # before the first fit
         reasons = [self._scope.lacking.get(place, "") for place in model.places]
         self._nothing = all(reasons) and bool(reasons)  # no place has an identifiable parameter
         if self._nothing:
@@ -162,10 +163,22 @@ class RollingEstimator:
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last update."""
-        extra = self._estimate.extra
+        estimate = self._estimate or self._warming_up()
+        extra = estimate.extra
         if self._spikes:
             extra = {**(extra or {}), SPIKES_KEY: float(self._spikes)}
-        return replace(self._estimate, index=self._seen, extra=extra)
+        return replace(estimate, index=self._seen, extra=extra)
+
+    def _warming_up(self) -> Estimate:
+        """No parameters: how much of what the first fit needs is there."""
+        needed = -(-(self._wanted + self._filter.half) // self._block) * self._block + self._job_rows
+        seen_s, needed_s, low = self._seen / self.rate_hz, needed / self.rate_hz, self.model.band[0]
+        status = f"warming up: {seen_s:.3g} of {needed_s:.3g} s"
+        if self._wanted > WARM_UP_S * self.rate_hz + self._block:
+            status += f"; the first fit takes {START_BLOCKS} blocks of {self._block / self.rate_hz:.3g} s"
+            status += f", {BLOCK_CYCLES:.0f} periods of band.low = {low:g} Hz each"
+        extra = {WARM_UP_S_KEY: seen_s, WARM_UP_NEEDED_S_KEY: needed_s}
+        return Estimate(self._seen, {}, 0.0, status=status, extra=extra)
 
     def _take(self, y: Array) -> None:
         """Take the next whole block (rows, channels), which may be changed."""
@@ -328,7 +341,7 @@ class RollingEstimator:
     def _look_for_missing(self, follower: Follower) -> None:
         """Renew what is said of missing force."""
         self._missing = missing_force(follower)
-        if self._estimate.parameters:
+        if self._estimate is not None and self._estimate.parameters:
             self._estimate = replace(self._estimate, extra=self._missing)
 
     def _renew_anchor(self, follower: Follower) -> None:

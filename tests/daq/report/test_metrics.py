@@ -98,6 +98,18 @@ def test_every_number_is_served() -> None:
     assert not any("bearing1.x.c" in key for key in got), "what the data cannot tell is absent, not zero"
 
 
+def test_the_warm_up_is_shown_until_it_is_over() -> None:
+    server = MetricsServer(0)
+    sink = server.sink()
+    sink.start(session())
+    sink.estimate(Estimate(256, {}, 0.0, status="warming up", extra={"warm_up_s": 1.0, "warm_up_needed_s": 4.0}))
+    now = read(server)
+    assert (now["warm_up_seconds", "SN7", "seen"], now["warm_up_seconds", "SN7", "needed"]) == (1.0, 4.0)
+    sink.estimate(Estimate(1024, {}, 0.0))
+    assert not any(key[0] == "warm_up_seconds" for key in read(server))
+    sink.close()
+
+
 def test_a_parameter_that_is_lost_disappears() -> None:
     server = MetricsServer(0)
     sink = server.sink()

@@ -35,12 +35,23 @@ def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: n
     estimates = run(RollingEstimator(rig_model("cubic"), RATE, 10.0), record)
     shown = [bool(e.parameters) for e in estimates]
     first = shown.index(True)
-    assert all(e.status == "warming up" for e in estimates[:first])
+    assert [e.extra["warm_up_s"] for e in estimates[:first] if e.extra] == [e.index / RATE for e in estimates[:first]]
+    assert estimates[0].extra is not None
+    assert estimates[0].extra["warm_up_needed_s"] == pytest.approx(first * BLOCK / RATE, abs=2 * BLOCK / RATE)
+    assert estimates[0].status == "warming up: 0.05 of 4.2 s"
     assert 4.0 <= first * BLOCK / RATE < 5.5
     assert all(shown[first:])
     assert estimates[-1].index == len(record)
     different = {id(e.parameters) for e in estimates[first:]}
     assert len(different) >= 2.0 * (len(record) / RATE - first * BLOCK / RATE)
+
+
+def test_a_long_warm_up_says_what_it_waits_for() -> None:
+    rolling = RollingEstimator(replace(rig_model(), band=(2.0, 900.0)), 2048.0, 10.0)
+    rolling.update(np.zeros((2048 * 41, 4)))
+    assert rolling.snapshot().status == (
+        "warming up: 41 of 210 s; the first fit takes 24 blocks of 8 s, 16 periods of band.low = 2 Hz each"
+    )
 
 
 @pytest.mark.slow
