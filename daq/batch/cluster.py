@@ -25,18 +25,21 @@ def connected(address: str | None) -> Iterator[Any]:
 
     Raises ConfigError for an address that is none, LinkError where no scheduler answers or it has no workers.
     """
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     word, _, count = (address or LOCAL_WORD).partition(":")
     if word == LOCAL_WORD:
         if count and not (count.isdecimal() and 0 < int(count) < 1000):
             raise ConfigError(f"--scheduler {address}: give the number of processes, such as local:4")
-        with _here(int(count or cores())) as client:
-            yield client
+        own = _here(int(count or cores()))
     elif "://" not in str(address):
         raise ConfigError(f"--scheduler {address}: give local:N, or an address such as tcp://10.0.0.5:8786")
     else:
-        with _there(str(address)) as client:
+        own = _there(str(address))
+    logging.disable(logging.CRITICAL)  # Dask tells of what we say in one line
+    try:
+        with own as client:
             yield client
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def cores() -> int:

@@ -18,7 +18,7 @@ from .task import WINDOWS_TASK, Task, Windows
 from .work import BEGUN_TOPIC, answer
 
 TICK_S = 0.5  # between two looks at what is overdue
-STORE_S, STORE_ROWS = 5.0, 500  # what is done is stored so often
+STORE_S, STORE_SHARE, STORE_ROWS = 2.0, 0.01, 500  # what is done is stored so often, or after a share of the time
 IN_FLIGHT_PER_CORE, LEAST_IN_FLIGHT = 20, 50  # tasks that the scheduler holds: enough for its workers never to wait
 RESTART_S = 20  # for a worker that is ended over a task
 DEAD_TEXT = "ended its worker each time, most likely for want of memory: give --window, or larger workers"
@@ -148,11 +148,13 @@ class Loop:
 
     def _store(self, now: bool = False) -> None:
         """Store the rows that have come, now and then."""
-        due = len(self._rows) >= STORE_ROWS or time.monotonic() - self._stored_s >= STORE_S
+        now_s = time.monotonic()
+        wait_s = max(STORE_S, STORE_SHARE * (now_s - self._started_s))
+        due = len(self._rows) >= STORE_ROWS or now_s - self._stored_s >= wait_s
         if not self._rows or not (now or due):
             return
         rows, self._rows = self._rows, []
-        self._stored_s = time.monotonic()
+        self._stored_s = now_s
         self.results.add(rows)
 
     def _tell(self) -> None:

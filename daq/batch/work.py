@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.analysis.answers import DOCUMENT_OF, about, origin
+from daq.base.console.memory import keep_freed
 from daq.base.console.output import version
 from daq.base.contract.errors import ConfigError, LogError, RotorscopeError, exit_status
 from daq.base.contract.part import WHOLE_RECORD, Part
@@ -39,6 +40,7 @@ class TooLargeError(LogError):
 def answer(task: Task) -> dict[str, Any]:
     """The row of a task in the table of runs, with `rows`: what goes into the other tables. Never raises."""
     with _one_at_a_time:
+        keep_freed()
         _say_begun(task)
         row = task.row() | {"status": "failed", "code": "", "reason": "", "notes": [], "rows": {}}
         begun, own_peak = time.monotonic(), _reset_peak()
