@@ -11,6 +11,7 @@ from estimator.arrays import Array, return_freed_memory
 from estimator.errors import DataError, NoResonanceError
 from estimator.model.rig import MOTION_UNITS, Model
 
+from .batch.unknown_mass import places_scaled_by_shaft
 from .machine import MachineSurvey, joined_bands, survey_machine
 from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
 from .structure import StructureSurvey, bearing_mode, survey_structure
@@ -76,10 +77,10 @@ def judgeable_record(model: Model, y: Array, layers: Layers, refused: Mapping[st
     moving = [c for c in model.channels if c.kind in MOTION_UNITS]
     channels_of = {p: tuple(c.name for c in moving if c.place == p) for p in model.places}
     sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
-    found = []
+    found, coupled = [], places_scaled_by_shaft(model)
     for place, channels in sound.items():
-        known = model.cap_mass(place) is not None
-        reason = refused.get(place) or bearing_mode(layers.structure, place, mass_known=known)
+        rigged = model.cap_mass(place) is not None or place in coupled
+        reason = refused.get(place) or bearing_mode(layers.structure, place, of_rig=rigged)
         if isinstance(reason, str):
             own = RecordFinding(
                 code=NO_BEARING_MODE, channels=channels, text=reason, places=(place,), condemned=channels

@@ -77,9 +77,7 @@ def differences(golden: Any, now: Any, at: str = "") -> Iterator[str]:
             yield from differences(one, other, f"{at}[{i}]")
     elif isinstance(golden, float) and isinstance(now, float | int):
         wide = at.endswith(".sd") or "_distance" in at
-        if abs(now - golden) > (0.05 if wide else 0.01) * abs(golden) + (
-            0.1 if "percent" in at else 1e-3
-        ):
+        if abs(now - golden) > (0.05 if wide else 0.01) * abs(golden) + (0.1 if "percent" in at else 1e-3):
             yield f"{at}: {now:g}, was {golden:g}"
     elif golden != now:
         yield f"{at}: {now!r}, was {golden!r}"

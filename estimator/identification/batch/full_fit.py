@@ -86,7 +86,7 @@ class FullFit:
         """Every parameter by full name. estimates : of the fitted ones; None: those of the working point."""
         found = fitted_parameters(self.point, estimates) | self.disturbances
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
-        scaleless = unknown_mass.places_without_mass(self.model)
+        scaleless = unknown_mass.unscaled_places(self.model, self.masses)
         return with_unidentifiable_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
 
     def to_fit(self) -> Fit:
@@ -138,7 +138,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     notes = (
         *shortening_messages(data, y),
         *unknown_mass.mass_messages(masses),
-        *unknown_mass.ratio_messages(full.model, full.point),
+        *unknown_mass.ratio_messages(full.model, full.point, masses),
         *upper_edge.upper_edge_messages(full.model, full.point),
         *excitation_level.uneven_message(data.level),
         *_background_messages(full.model),

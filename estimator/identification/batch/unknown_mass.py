@@ -12,12 +12,11 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
-from estimator.errors import DataError
+from estimator.errors import DataError, NotFiniteError
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
-from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
-from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
+from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -25,41 +24,62 @@ from estimator.model.rotor import shaft_matrix
 from estimator.results import Message, Parameter, is_of_place
 from estimator.signals.channel_response import measured_force_places
 
-MASS_START_S = 8.0  # of the record, on which several start masses are tried
-MAX_START_STEP_SD = 1.0  # last step of a start, standard deviations: with a larger one the fit has gone astray
-START_MASSES_REL = (0.05, 0.15, 0.5, 1.5)  # of the disc: start values of unknown cap masses
+from .grid_start import fit_record
+from .shaft_scale import shaft_scale
+
+MAX_LAST_STEP_SD = 1.0  # of a fit, standard deviations: with a larger one the fit has gone astray
+MAX_DEPARTURE_SD = 4.0  # of a fitted mass from that of the spectra
 NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
 
 def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
-    """The model with the cap masses found by its shaft, and these as parameters by full name. y : (n, channels), SI."""
+    """The model with the cap masses found by its shaft, and these as parameters by full name. y : (n, channels), SI.
+
+    A mass that the shaft does not give is not identifiable among the parameters; the model has the likeliest one.
+    """
     left_out = places_scaled_by_shaft(model)
     if not left_out:
         return model, {}
-    laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC_EFFECTS)
+    apart = replace(model, shaft="none", effects=(), background=None)
     try:
-        data = prepare(replace(model, effects=laws), y, rate_hz, left_out)
-        point = _fit_from_several_masses(data, located_laws(replace(model, effects=laws), data), model)
-    except DataError:  # the fit that follows says what is wrong
+        scale = shaft_scale(model, fit_record(apart, prepare(apart, y, rate_hz)), left_out)
+    except (DataError, NotFiniteError, np.linalg.LinAlgError):  # the fit that follows says what is wrong
         return model, {}
+    if scale is None:
+        return model, {}
+    start = {p: float(np.exp(ln_mass)) for p, (ln_mass, _) in scale.ln_mass.items()}
+    found = {f"{p}.m": Parameter.from_estimate(start[p], sd * start[p], "kg") for p, (_, sd) in scale.ln_mass.items()}
+    model = replace(model, background=scale.background)
+    if all(q.identifiable for q in found.values()):
+        found = _refined_masses(model, y, rate_hz, start, found)
+    known = {p: found[f"{p}.m"].value or m for p, m in start.items()}
+    return replace(model, mass={**model.mass, **known}), found
+
+
+def _refined_masses(
+    model: Model, y: Array, rate_hz: float, start: Mapping[str, float], found: Mapping[str, Parameter]
+) -> dict[str, Parameter]:
+    """The masses fitted together with the laws of the model; those of the spectra where that fit departs from them."""
+    laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC_EFFECTS)
+    bare = replace(model, effects=laws)
+    try:
+        data = prepare(bare, y, rate_hz, start.keys())
+        data = data.with_mass(np.array([start.get(p, m) for p, m in zip(data.places, data.mass, strict=True)]))
+        point = fit_model(data, located_laws(bare, data))
+    except (DataError, NotFiniteError, np.linalg.LinAlgError):
+        return dict(found)
     fitted = fitted_parameters(point)
-    estimated = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
-    found = {p: q.value for p in left_out if (q := estimated[f"{p}.m"]).identifiable and q.value and q.value > 0.0}
-    return replace(model, mass={**model.mass, **found}), {f"{p}.m": estimated[f"{p}.m"] for p in found}
+    if min(*point.kL, *point.c) <= 0.0 or last_step_sd(point) > MAX_LAST_STEP_SD:
+        return dict(found)
+    return {name: _agreed(q, fitted[name]) for name, q in found.items()}
 
 
-def _fit_from_several_masses(data: MotionRecord, laws: list[LocatedLaw], model: Model) -> WorkingPoint:
-    """The likeliest fit with free masses; the likelihood has several maxima. Of a part of the record, then of all."""
-    part = leading_blocks(data, MASS_START_S)
-    points = [
-        fit_model(part.with_mass(np.full(part.mass.size, share * model.mass["disc"])), laws)
-        for share in START_MASSES_REL
-    ]
-    sound = [p for p in points if min(*p.kL, *p.c) > 0.0 and last_step_sd(p) < MAX_START_STEP_SD]
-    if not sound:
-        raise DataError("the shaft does not give the masses that the rig file leaves out: give [rig.mass]")
-    best = max(sound, key=lambda point: point.fit.log_likelihood)
-    return best if part is data else fit_model(data, list(best.placed), best)
+def _agreed(spectral: Parameter, fitted: Parameter) -> Parameter:
+    """The mass of a fit if it agrees with that of the spectra, else that of the spectra."""
+    if fitted.value is None or spectral.value is None or fitted.sd is None or spectral.sd is None:
+        return spectral
+    agrees = abs(fitted.value - spectral.value) < MAX_DEPARTURE_SD * np.hypot(fitted.sd, spectral.sd)
+    return fitted if agrees else spectral
 
 
 def places_scaled_by_shaft(model: Model) -> list[str]:
@@ -73,9 +93,14 @@ def places_without_mass(model: Model) -> list[str]:
     return [p for p in model.places if model.cap_mass(p) is None and p not in measured_force_places(model)]
 
 
-def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
+def unscaled_places(model: Model, masses: Mapping[str, Parameter]) -> list[str]:
+    """Places of unknown mass, those that the shaft does not give included. masses : of the shaft, by full name."""
+    return [*places_without_mass(model), *(n.removesuffix(".m") for n, q in masses.items() if not q.identifiable)]
+
+
+def ratio_messages(model: Model, point: WorkingPoint, masses: Mapping[str, Parameter]) -> tuple[Message, ...]:
     """A message for each place of unknown mass, with the resonance and the damping ratio."""
-    at = [point.data.places.index(p) for p in places_without_mass(model)]
+    at = [point.data.places.index(p) for p in unscaled_places(model, masses)]
     return tuple(
         _ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
         for i in at if point.kL[i] > 0.0
@@ -102,7 +127,7 @@ def with_mass_uncertainty(
     """
     out = dict(found)
     for name, p in found.items():
-        own = [q for mass, q in masses.items() if is_of_place(name, mass.removesuffix(".m"))]
+        own = [q for mass, q in masses.items() if q.identifiable and is_of_place(name, mass.removesuffix(".m"))]
         power = 2 if p.unit.startswith("N^2") else int(p.unit.startswith(("N", "kg")))
         if not (own and power and p.identifiable and p.value is not None and p.sd is not None):
             continue
@@ -120,8 +145,9 @@ def _shaft_part(model: Model, name: str) -> float:
 
 def mass_messages(masses: dict[str, Parameter]) -> tuple[Message, ...]:
     """A message that names the masses found. masses : by full name."""
-    if not masses:
+    known = {name: q.value for name, q in masses.items() if q.identifiable and q.value is not None}
+    if not known:
         return ()
-    values = ", ".join(f"{name.removesuffix('.m')} {q.value:.4g} kg" for name, q in masses.items())
+    values = ", ".join(f"{name.removesuffix('.m')} {m:.4g} kg" for name, m in known.items())
     text = f"masses missing in the rig file were estimated by the shaft stiffness: {values}; the fit rests on them"
     return (Message("mass_by_shaft", text),)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.identification.batch.unknown_mass import NO_MASS_REASON, places_without_mass, with_mass_uncertainty
+from estimator.identification.batch.unknown_mass import NO_MASS_REASON, unscaled_places, with_mass_uncertainty
 from estimator.model.rig import LINEAR_UNITS
 from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
@@ -37,7 +37,7 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
         out[f"{place}.S"] = _judged_parameter(S[i] * level[i], S[i] * level_sd[i], LINEAR_UNITS["S"])
     out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
     out = with_mass_uncertainty(model, _without_lost_laws(follower, out), first.masses)
-    out = {**with_unidentifiable_at(places_without_mass(model), NO_MASS_REASON, out, "N"), **first.masses}
+    out = {**with_unidentifiable_at(unscaled_places(model, first.masses), NO_MASS_REASON, out, "N"), **first.masses}
     cells = CellPower.of(anchor, follower.slow, follower.delta)
     for place, (excess, hz) in zip(anchor.data.places, excess_power(anchor, cells), strict=True):
         out = _with_colour(out, place, excess, hz)

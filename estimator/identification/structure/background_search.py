@@ -79,7 +79,7 @@ def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) ->
         return {}
     if float(problem.misfit(found).max()) > MAX_MISFIT:
         return {}
-    return dict(_result(problem, found, point, places))
+    return dict(backgrounds(problem, found, point))
 
 
 def measured_spectra(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> CrossSpectra:
@@ -99,11 +99,13 @@ def measured_spectra(model: Model, point: WorkingPoint, places: tuple[int, ...])
 
 
 def spectral_problem(
-    model: Model, point: WorkingPoint, spectra: CrossSpectra, channel_of: tuple[int, ...] | None = None
-) -> JointSpectrum:
+    model: Model, point: WorkingPoint, spectra: CrossSpectra, channel_of: tuple[int, ...] | None = None,
+    loose: tuple[int, ...] = (),
+) -> JointSpectrum:  # fmt: skip
     """The spectral problem of the caps of one direction at the mean tangents of a working point.
 
     channel_of : by place, the place whose channel is there in truth, and with it the tangents; None: its own.
+    loose : numbers of the caps among those of the spectra whose mass is fitted.
     """
     data, own = point.data, list(spectra.places)
     tangents_of = own if channel_of is None else [channel_of[i] for i in own]
@@ -115,7 +117,10 @@ def spectral_problem(
     mass = cap_masses(model, point)[own]
     _, c = sound_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
-    return JointSpectrum(spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0)
+    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own] if loose else None
+    return JointSpectrum(
+        spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
+    )  # fmt: skip
 
 
 def cap_masses(model: Model, point: WorkingPoint) -> Array:
@@ -313,21 +318,21 @@ def force_dispersion(point: WorkingPoint) -> float:
     return 1.0 if level is None else float(np.mean(level**2, axis=1).max())
 
 
-def _result(
-    problem: JointSpectrum, found: JointPoint, point: WorkingPoint, places: tuple[int, ...]
-) -> Iterator[tuple[str, BearingBackground]]:
-    """The background of each cap."""
+def backgrounds(
+    problem: JointSpectrum, found: JointPoint, point: WorkingPoint
+) -> Iterator[tuple[str, BearingBackground]]:  # fmt: skip
+    """The background of each cap, by place, in proportion to the masses of the problem."""
     values, caps = found.values, problem.mass.size
     J, _ = problem.score(found)
     first = caps * (problem.basis.shape[1] + 1)
     bearing = np.arange(first, first + 2 * caps)
     whole = np.diag(np.linalg.pinv(products(J)))[bearing]
-    white = problem.with_octaves(np.inf)
-    J, _ = white.score(replace(found, values=replace(values, force=np.zeros((caps, 1)))))
+    white = replace(problem, octaves=np.inf, loose=())
+    J, _ = white.score(replace(found, values=replace(values, force=np.zeros((caps, 1)), heavier=np.zeros(0))))
     known = np.diag(np.linalg.pinv((products(J))[: 4 * caps, : 4 * caps]))[2 * caps :]
     more = np.sqrt(np.maximum(whole - known, 0.0)).reshape(2, caps)
     f = np.geomspace(problem.spectra.f_hz[0], problem.spectra.f_hz[-1], SHAPE_KNOTS)
-    for cap, i in enumerate(places):
+    for cap, i in enumerate(problem.spectra.places):
         ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
         psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
         tangent = problem.laws[:, cap]

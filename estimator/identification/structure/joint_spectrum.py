@@ -59,6 +59,8 @@ class JointValues:
         Structural modes.
     q : (modes, 3) float64
         ln of frequency in Hz, of damping ratio, and of mass over the cap's.
+    heavier : (loose,) float64
+        ln of the mass of each loose cap over that of the problem. All else at the cap is in proportion to it.
     """
 
     force: Array
@@ -67,20 +69,22 @@ class JointValues:
     damping: Array
     modes: tuple[ModePlace, ...] = ()
     q: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    heavier: Array = field(default_factory=lambda: np.zeros(0))
 
     def vector(self) -> Array:
         """(parameters,) all of them."""
-        return np.concatenate([self.force.ravel(), self.noise, self.stiffness, self.damping, self.q.ravel()])
+        parts = self.force.ravel(), self.noise, self.stiffness, self.damping, self.heavier, self.q.ravel()
+        return np.concatenate(parts)
 
     def moved(self, step: Array, low: Array, high: Array) -> JointValues:
         """The values after a step (parameters,), modes inside their limits (modes, 3)."""
         caps, splines = self.force.shape
-        force, noise, stiffness, damping, q = np.split(
-            self.vector() + step, np.cumsum([caps * splines, caps, caps, caps])
+        force, noise, stiffness, damping, heavier, q = np.split(
+            self.vector() + step, np.cumsum([caps * splines, caps, caps, caps, self.heavier.size])
         )
         return JointValues(
             force=force.reshape(caps, splines), noise=noise, stiffness=stiffness, damping=damping, modes=self.modes,
-            q=np.clip(q.reshape(-1, 3), low, high),
+            q=np.clip(q.reshape(-1, 3), low, high), heavier=heavier,
         )  # fmt: skip
 
     def with_mode(self, mode: ModePlace, q: Array) -> JointValues:
@@ -134,6 +138,10 @@ class JointSpectrum:
         Distance of the knots of ln S; infinite for a white force.
     damping0 : (caps,) float64
         ln c about which the damping is expected.
+    loose : tuple of int
+        Caps whose mass is fitted.
+    shaft : (cells, caps, caps) complex128 or None
+        Dynamic stiffness of the shaft, N/m, that sets these masses; None where there are none.
     """
 
     spectra: CrossSpectra
@@ -142,6 +150,8 @@ class JointSpectrum:
     mass: Array
     shape: Array
     damping0: Array
+    loose: tuple[int, ...] = ()
+    shaft: Complexes | None = None
     octaves: float = np.inf
     basis: Array = field(init=False)
 
@@ -169,6 +179,8 @@ class JointSpectrum:
         B = D / (1.0 + D * yielding)
         Z = self.Z0.copy()
         Z[:, caps, caps] += B + attached
+        for cap, heavier in zip(self.loose, values.heavier.tolist(), strict=True):
+            Z[:, cap] += np.expm1(-heavier) * self._shaft_at(cap)
         T = (s * s)[:, None, None] * np.linalg.inv(Z)
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
@@ -187,6 +199,12 @@ class JointSpectrum:
             values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
         )  # fmt: skip
 
+    def _shaft_at(self, cap: int) -> Complexes:
+        """(cells, caps) N/m, force of the shaft on a cap per displacement of each cap."""
+        if self.shaft is None:
+            raise ValueError("no shaft sets the masses")
+        return self.shaft[:, cap]
+
     def modes(self, values: JointValues) -> Iterator[tuple[int, StructuralMode]]:
         """Number of its cap and structural mode, one after another."""
         for where, (f_hz, damping, ratio) in zip(values.modes, np.exp(values.q).tolist(), strict=True):
@@ -198,9 +216,20 @@ class JointSpectrum:
 
         The derivative by a stiffness dz is that times dz and its conjugate transpose.
         """
-        pulled, w2 = point.W @ point.T, -(point.s**2)[:, None, None]
-        rows = np.einsum("fij,fkj->fki", point.W.conj(), point.signal)
+        pulled, w2, rows = point.W @ point.T, -(point.s**2)[:, None, None], self._signal_rows(point)
         return [pulled[:, :, i, None] / w2 * rows[:, i, None, :] for i in range(self.mass.size)]
+
+    def _signal_rows(self, point: JointPoint) -> Complexes:
+        """(cells, caps, caps) the signal, whitened from the right."""
+        return np.asarray(np.einsum("fij,fkj->fki", point.W.conj(), point.signal), np.complex128)
+
+    def _by_mass(self, point: JointPoint) -> Iterator[Complexes]:
+        """(cells, caps, caps) by loose cap: derivative of whitened Sigma by the logarithm of its mass."""
+        pulled, w2, rows = point.W @ point.T, -(point.s**2)[:, None, None], self._signal_rows(point)
+        for cap, heavier in zip(self.loose, point.values.heavier.tolist(), strict=True):
+            carried = np.einsum("fj,fjk->fk", -np.exp(-heavier) * self._shaft_at(cap), rows)
+            half = pulled[:, :, cap, None] / w2 * carried[:, None, :]
+            yield np.asarray(half + half.conj().swapaxes(1, 2))
 
     def derivatives(self, point: JointPoint) -> Complexes:
         """(parameters, cells, caps, caps) derivatives of whitened Sigma."""
@@ -220,6 +249,7 @@ class JointSpectrum:
 
         out += [by(i, series[:, i] * np.exp(values.stiffness[i])) for i in caps]
         out += [by(i, series[:, i] * s * np.exp(values.damping[i])) for i in caps]
+        out += self._by_mass(point)
         for cap, mode in self.modes(values):
             damp, den = mode.damping_term(s), mode.denominator(s)
             d_frequency = damp + 2.0 * mode.w0**2

@@ -239,7 +239,7 @@ def expected_modes(model: Model, place: str) -> int:
     return 2 + ("disc" in model.mass)
 
 
-def bearing_mode(survey: StructureSurvey, place: str, *, mass_known: bool = False) -> Mode | str:
+def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -> Mode | str:
     """The mode that can be that of the cap on its bearing, or why there is none, one line.
 
     One oscillator under a smooth force must explain the spectrum of the place, as must the oscillators that the rig
@@ -252,9 +252,9 @@ def bearing_mode(survey: StructureSurvey, place: str, *, mass_known: bool = Fals
         What the structure layer says of the record.
     place : str
         Such as "bearing1.x".
-    mass_known : bool
-        Whether the rig file gives the mass of the cap. A joint fit of the rig and of structural modes beside it then
-        tells which mode is the bearing's, and the strongest one is taken here.
+    of_rig : bool
+        Whether the rig file gives the mass of the cap, or a shaft that does. A joint fit of the rig and of structural
+        modes beside it then tells which mode is the bearing's, and the strongest one is taken here.
     """
     own = survey.places.get(place)
     low, high = survey.band
@@ -264,7 +264,7 @@ def bearing_mode(survey: StructureSurvey, place: str, *, mass_known: bool = Fals
     marked = next((m for m in own.modes if m.bearing), None)
     if marked is not None:
         return marked
-    if mass_known and own.modes:
+    if of_rig and own.modes:
         return max(own.modes, key=lambda mode: mode.energy_share)
     advice = "give masses or narrow the band"
     if not own.modes:

@@ -61,11 +61,12 @@ def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
     )
     problem = JointSpectrum(
         spectra=spectra, Z0=shaft + (s**2)[:, None, None] * np.diag(mass), laws=np.zeros((200, 2), complex), mass=mass,
-        shape=np.ones((200, 2)), damping0=np.log([60.0, 80.0]), octaves=1.0,
+        shape=np.ones((200, 2)), damping0=np.log([60.0, 80.0]), octaves=1.0, loose=(1,),
+        shaft=np.broadcast_to(shaft, (200, 2, 2)).astype(complex),
     )  # fmt: skip
     values = JointValues(
         force=0.1 * rng.normal(size=(2, problem.basis.shape[1])), noise=np.log([0.1, 0.2]), stiffness=np.log(kL),
-        damping=np.log([60.0, 80.0]),
+        damping=np.log([60.0, 80.0]), heavier=np.array([0.3]),
     )  # fmt: skip
     values = values.with_mode(ModePlace(1, "support"), np.log([200.0, 0.02, 5.0]))
     values = values.with_mode(ModePlace(0, "attached"), np.log([400.0, 0.02, 0.05]))
