@@ -284,6 +284,7 @@ class Estimate:
 # candidate that is certainly missing.
 MISSING_FORCE_KEY = "missing_force_percent"
 WARM_UP_S_KEY, WARM_UP_NEEDED_S_KEY = "warm_up_s", "warm_up_needed_s"  # keys of `Estimate.extra`, before the first fit
+BACKGROUND_KEY = "background_found_s"  # key of `Estimate.extra`: structural modes and spectrum of the force are in it
 SPIKES_KEY = "spikes_left_out"  # key of `Estimate.extra`: single samples far outside all others, since the start
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 from daq.base.console.tables import parameters_table
 from daq.base.contract.sink import Session
 from drivers.contract import Notice, Reading
-from estimator.results import MISSING_FORCE_KEY, SPIKES_KEY, certain_missing_effects
+from estimator.results import BACKGROUND_KEY, MISSING_FORCE_KEY, SPIKES_KEY, certain_missing_effects
 
 from .live_state import LiveState
 
@@ -31,6 +31,12 @@ def spikes_text(extra: Mapping[str, float]) -> str:
     """The number of samples that the rolling estimate leaves out as spikes, in a line; "" without one."""
     count = extra.get(SPIKES_KEY, 0.0)
     return f"{count:.0f} spikes left out of the estimate: check the link and the cables" if count else ""
+
+
+def background_text(extra: Mapping[str, float]) -> str:
+    """That the rolling estimate has structural modes and the spectrum of the force, in a line; "" before it has."""
+    at = extra.get(BACKGROUND_KEY)
+    return "" if at is None else f"structural modes and the spectrum of the force are those found at {at:.0f} s"
 
 
 class LiveTable(LiveState):
@@ -65,7 +71,8 @@ class LiveTable(LiveState):
         parts: list[object] = [Text(text)]
         if self.last_estimate is not None:
             shown = self.last_estimate.parameters
-            for text in (missing_text(self.last_estimate.extra or {}), spikes_text(self.last_estimate.extra or {})):
+            extra = self.last_estimate.extra or {}
+            for text in (missing_text(extra), spikes_text(extra), background_text(extra)):
                 if text:
                     parts.append(Text(text))
             if self._named:

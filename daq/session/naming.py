@@ -28,7 +28,7 @@ from daq.base.contract.errors import RotorscopeError
 from daq.base.contract.sink import Session, SinkHealth, Status
 from daq.rig.rig import Rig
 from drivers.contract import Block, Gap, Info, Notice, Reading
-from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
+from estimator.results import BACKGROUND_KEY, MISSING_FORCE_KEY, Estimate, certain_missing_effects
 
 from .ring import KeptSamples
 
@@ -143,7 +143,9 @@ class Naming:
         if not now.parameters:
             return
         self._before, self._gap = now, False
-        if before is None or gap or now.samples > MIN_MEMORY_SHARE * before.samples:
+        if before is None or gap or _background(before) != _background(now):  # which is no change of the machine
+            return
+        if now.samples > MIN_MEMORY_SHARE * before.samples:
             return
         if self._since is None or before.index - before.samples >= self._since:  # it had forgotten the old state
             self._since = now.index
@@ -232,6 +234,11 @@ class Naming:
 
     def _s(self, index: int) -> str:
         return f"{index / self._rate_hz:.0f} s"
+
+
+def _background(estimate: Estimate) -> float | None:
+    """When the background of an estimate was found, s; None where it has none."""
+    return (estimate.extra or {}).get(BACKGROUND_KEY)
 
 
 def said(found: Mapping[str, Any], question: Question) -> tuple[str, str, str]:

@@ -135,6 +135,12 @@ class Background:
 
     at: Mapping[str, BearingBackground] = field(default_factory=dict)
 
+    @property
+    def longest_ringing_s(self) -> float:
+        """1 / (zeta w0) of the mode that rings longest, s; 0 without a mode."""
+        modes = [m for own in self.at.values() for m in own.modes]
+        return max((1.0 / (m.damping * m.w0) for m in modes), default=0.0)
+
     def agrees_with(self, other: Background | None) -> bool:
         """Whether another background has the same modes, and bearings as stiff and damped within their certainty."""
         if other is None or self.at.keys() != other.at.keys():

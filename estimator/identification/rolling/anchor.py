@@ -103,6 +103,12 @@ class Anchor:
         out |= {f"{p}.m": float(z) for p, z in zip(self.data.places, self.data.mass, strict=True)}
         return out | {use.name(k): float(z) for use in self.placed for k, z in enumerate(use.p)}
 
+    def response(self, tangent: Array) -> Complexes:
+        """(..., places, places, nodes) kg, what a mean tangent (..., places, places, 2) adds to A."""
+        out = tangent_response(tangent, self.s)
+        background = self.data.background
+        return out if background is None else out * background.deflections(self.data.places, self.s).T
+
     def problem(self, mean_tangent: Array, tangents: Array, share: Array) -> tuple[Jacobian, Complexes]:
         """The determinant where the mean tangents are others than at the anchor, and the responses of the regressors.
 
@@ -117,7 +123,7 @@ class Anchor:
         if some.size:
             more = tangent_response(moved[some], self.s)
             responses[some] += more if factor is None else tangent_times(more, factor[self.nodes])
-        A = self.A + np.moveaxis(tangent_response(mean_tangent - self.mean_tangent, self.s), 2, 0)
+        A = self.A + np.moveaxis(self.response(mean_tangent - self.mean_tangent), 2, 0)
         weight = np.add.reduceat(share, self.first)
         if not self.data.residual_is_noise:
             return Jacobian(A, 2.0 * weight + 1j * self.phase_weight, self.second_order), responses
@@ -202,6 +208,8 @@ def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     allowed = np.maximum(away, np.abs(real - modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
     bend = np.flatnonzero(np.diff(real[:, 0]))
     allowed[np.concatenate([bend, bend + 1])] = 1.0
+    if data.background is not None:  # structural modes are steep too
+        allowed[:] = 1.0
     ends = np.append(np.flatnonzero(np.diff(data.bins) > 1) + 1, f.size)
     first, k = [], 0
     while k < f.size:

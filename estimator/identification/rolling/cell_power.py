@@ -39,13 +39,14 @@ class CellPower:
         return cls(power=power, n=np.add.reduceat(memory.kept, anchor.cells), redundancy=memory.n2 / memory.n)
 
 
-def excess_power(anchor: Anchor, cells: CellPower) -> list[tuple[float, float]]:
+def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[float, float]]:
     """For every place what the cell that stands out most has more than the model, relative, and its frequency, Hz.
 
-    0 where none stands out by more than chance, or where a force is measured.
+    0 where none stands out by more than chance, or where a force is measured. delta : (k,) increments, scaled.
     """
     from scipy.special import chdtr, chdtrc
 
+    cells = CellPower.of(anchor, memory, delta)
     if anchor.data.measured_force:
         return [(0.0, 0.0)] * len(cells.power)
     out = []

@@ -28,7 +28,7 @@ from estimator.likelihood.motion.force_balance import force_channels, motion_cha
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.rig import Model
-from estimator.results import SPIKES_KEY, WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
+from estimator.results import BACKGROUND_KEY, SPIKES_KEY, WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion, half_length
 from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
@@ -36,17 +36,21 @@ from estimator.signals.shaft_angle import ShaftAngle
 from .anchor import anchor_at
 from .follower import Follower
 from .piece import in_time_folds, joined_motion, piece_record
-from .report import judged_parameters
+from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import FirstFit, first_fit
+from .start import BACKGROUND_PARTS, FirstFit, first_fit, fit_with_background
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 
 WARM_UP_S = 4.0  # of samples, at least, before the first fit
 PIECE_S = 0.5  # of samples, at most, between two estimates
 BLOCK_CYCLES = 16.0  # of the lower band edge in a block
 MIN_BLOCK_ROWS = 128
+RINGING_TIMES = 5.0  # of 1 / (zeta w0) of structural modes, beside a piece of motion: the rest is 0.7 %
 JOBS_PER_BLOCK = 4  # at most, of those that no estimate waits for
 START_BLOCKS = 24  # at least, in the first fit
+BACKGROUND_S = 24.0  # of samples, in which structural modes are looked for where the residual force is not white
+BACKGROUND_BLOCKS = BACKGROUND_PARTS * START_BLOCKS  # at least, in them
+MAX_BACKGROUND_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
 MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
 MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
 PIECES_PER_WATCH = 6  # of the memory with the candidates
@@ -124,6 +128,11 @@ class RollingEstimator:
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
         self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
         self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
+        longer = max(int(BACKGROUND_S * rate_hz), BACKGROUND_BLOCKS * self._block)
+        longer = min(longer, MAX_BACKGROUND_ROWS) // self._block * self._block
+        self._longer = longer if longer >= BACKGROUND_BLOCKS * self._block else 0
+        self._look_at = longer  # row at which a background is looked for, if the residual force is not white
+        self._background_s = 0.0  # when it was found
         self._shaft = ShaftAngle(model, rate_hz)
         self._fresh: list[Array] = []  # rows of the block that is not whole yet
         self._rows: list[Array] = []  # blocks of the last seconds, for a start
@@ -211,7 +220,7 @@ class RollingEstimator:
 
     def _trim(self) -> None:
         """Drop what no later piece and no new start needs."""
-        keep = self._wanted // self._block
+        keep = max(self._wanted, self._longer) // self._block
         del self._rows[:-keep]
         needed = self._end - self._wanted
         if self._follower is not None:
@@ -239,7 +248,8 @@ class RollingEstimator:
             self._show_nothing(fault)
             return
         try:
-            first = first_fit(self.model, self._whole, np.concatenate(self._rows), self.rate_hz, self._block)
+            rows = np.concatenate(self._rows[-(self._wanted // self._block) :])
+            first = first_fit(self.model, self._whole, rows, self.rate_hz, self._block)
             self._begin(first)
         except (DataError, NotFiniteError, np.linalg.LinAlgError) as error:
             self._follower = None
@@ -253,12 +263,15 @@ class RollingEstimator:
             data = replace(data, denoise_correction=None, denoise_sd=0.0)
         denoised = bool(point.placed) and not data.measured_force
         self._margin = half_length(self.rate_hz, self.model.band) if denoised else 0
+        if data.background is not None:
+            self._margin = max(self._margin, round(RINGING_TIMES * data.background.longest_ringing_s * self.rate_hz))
         self._calm = record_denoising_filter(data, point.nu, point.S) if denoised else None
         watched = located_laws(candidates(first.model, self.watch), data)
         anchor = anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed, watched)
         self._first, self._follower = first, Follower(anchor, self.time_constant_s)
         self._moves, self._pieces, self._missing = data.rms[2], 0, None
         self._next = -(-(self._kept[0].start + self._margin) // self._piece) * self._piece
+        self._jobs.clear()
         self._advance(self._follower)
         while self._jobs:
             self._do_job()
@@ -336,13 +349,25 @@ class RollingEstimator:
         shown = self._scope.shown(judged_parameters(follower, self._first))
         samples = follower.slow.n**2 / follower.slow.n2 * self._block
         likelihood = follower.fit.log_likelihood if follower.fit is not None else None
-        self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=self._missing)
+        extra = self._missing
+        if self._background_s:
+            extra = {**(extra or {}), BACKGROUND_KEY: self._background_s}
+        self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=extra)
+        if self._seen >= self._look_at and self._longer and is_coloured(follower):
+            self._jobs.append(partial(self._look_for_background, follower))
 
     def _look_for_missing(self, follower: Follower) -> None:
-        """Renew what is said of missing force."""
+        """Renew what is said of missing force, with the next estimate."""
         self._missing = missing_force(follower)
-        if self._estimate is not None and self._estimate.parameters:
-            self._estimate = replace(self._estimate, extra=self._missing)
+
+    def _look_for_background(self, follower: Follower) -> None:
+        """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""
+        self._look_at = 2 * self._seen  # a search that finds nothing is the rarer
+        first = fit_with_background(self.model, self._whole, np.concatenate(self._rows), self.rate_hz, self._block)
+        known = follower.anchor.data.background
+        if first is not None and first.model.background is not None and not first.model.background.agrees_with(known):
+            self._background_s = self._seen / self.rate_hz
+            self._begin(first)
 
     def _renew_anchor(self, follower: Follower) -> None:
         """Renew the anchor from the last seconds, if they have enough whole blocks, and show the estimate."""

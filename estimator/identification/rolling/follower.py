@@ -150,8 +150,9 @@ class Follower:
     def _slopes(self, problem: Problem, delta: Array) -> tuple[Array, Array]:
         """Slopes of the determinant of a block by the increments (k,) and by the mean tangents (places, places, 2)."""
         slope, by_matrix = problem.jacobian.slopes(problem.gram.tangents, delta)
-        s = self.anchor.s
-        return slope, np.stack([(by_matrix / s**power).real.sum(axis=2) for power in (2, 1)], axis=-1)
+        P = len(by_matrix)
+        by_x, by_v = (self.anchor.response(np.broadcast_to(one, (P, P, 2))) for one in np.eye(2))
+        return slope, np.stack([(by_matrix * one).real.sum(axis=2) for one in (by_x, by_v)], axis=-1)
 
     def covariance(self) -> Array:
         """(k, k) of the increments, scaled: inverse Hessian, wider where the scores of the pieces scatter more."""

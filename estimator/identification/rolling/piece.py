@@ -14,7 +14,7 @@ from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.located_law import law_along_record
 from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
-from estimator.likelihood.motion.prepare import inertia_and_shaft
+from estimator.likelihood.motion.prepare import bring_in_background, inertia_and_shaft
 from estimator.likelihood.path.path_fit import Gram
 from estimator.likelihood.path.tangent_noise import without_tangent_noise
 from estimator.likelihood.response.regressor_set import linear_regressors, regressors
@@ -62,17 +62,20 @@ def piece_record(
     def taken(z: NDArray[np.floating]) -> Series:
         return np.asarray(z[..., at], np.float32)
 
-    a, v, x, u = (taken(z) for z in (motion.a, motion.v, motion.x, motion.u))
-    known = inertia_and_shaft(model, like.mass, a, v[:P], x[:P], u.copy())
+    a, v, x = motion.a, motion.v[:P], motion.x[:P]
+    known = inertia_and_shaft(model, like.mass, a, v, x, motion.u.copy())
     for k, i in enumerate(force_channels(model)):
         known[i] -= a[P + k]
+    if like.background is not None:
+        x, v = x.copy(), v.copy()
+        bring_in_background(like.background, like.places, (x, v, known), [slice(0, motion.rows)], like.rate_hz)
     slow = None if motion.slow is None else taken(motion.slow[:P])
-    correction = None if calm is None else taken(calm.of(motion.x[:P], like.rate_hz))
+    correction = None if calm is None else taken(calm.of(x, like.rate_hz))
     starts = motion.start + margin + np.flatnonzero(valid) * block
     return replace(
-        like, v=v[:P], x=x[:P], known=known, t=(motion.start + rows) / like.rate_hz, phase=phase[at], start=starts,
-        fold=np.zeros(starts.size, np.int64), measured=slow, slow=slow, denoise_correction=correction, level=None,
-        below_band_force=None, free_inertia={i: a[i] for i in like.free_inertia},
+        like, v=taken(v), x=taken(x), known=taken(known), t=(motion.start + rows) / like.rate_hz, phase=phase[at],
+        start=starts, fold=np.zeros(starts.size, np.int64), measured=slow, slow=slow, denoise_correction=correction, level=None,
+        below_band_force=None, free_inertia={i: taken(a[i]) for i in like.free_inertia},
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from estimator.identification.batch.unknown_mass import NO_MASS_REASON, unscaled
 from estimator.model.rig import LINEAR_UNITS
 from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
-from .cell_power import CellPower, excess_power
+from .cell_power import excess_power
 from .follower import Follower
 from .start import FirstFit
 
@@ -24,6 +24,9 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
     anchor, values, model = follower.anchor, follower.values(), first.model
     own = anchor.names[: anchor.own]
     sd = dict(zip(own, np.sqrt(np.diag(follower.covariance())) * anchor.scales[: anchor.own], strict=True))
+    for place, around in ({} if model.background is None else model.background.at).items():
+        for name, more in ((f"{place}.kL", around.stiffness_sd_rel), (f"{place}.c", around.damping_sd_rel)):
+            sd |= {name: float(np.hypot(sd[name], more * values[name]))} if name in sd else {}
     units = dict(zip(own, anchor.units, strict=False))
     (level, level_sd), S = follower.level(), follower.excitation()
     out: dict[str, Parameter] = {}
@@ -38,10 +41,16 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
     out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
     out = with_mass_uncertainty(model, _without_lost_laws(follower, out), first.masses)
     out = {**with_unidentifiable_at(unscaled_places(model, first.masses), NO_MASS_REASON, out, "N"), **first.masses}
-    cells = CellPower.of(anchor, follower.slow, follower.delta)
-    for place, (excess, hz) in zip(anchor.data.places, excess_power(anchor, cells), strict=True):
-        out = _with_colour(out, place, excess, hz)
+    excess = excess_power(anchor, follower.slow, follower.delta)
+    for place, (power, hz) in zip(anchor.data.places, excess, strict=True):
+        out = _with_colour(out, place, power, hz)
     return out
+
+
+def is_coloured(follower: Follower) -> bool:
+    """Whether the spectrum of the residual force at a place is not that of the model."""
+    excess = excess_power(follower.anchor, follower.slow, follower.delta)
+    return any(abs(own) >= MIN_COLOUR_REL for own, _ in excess)
 
 
 def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: float) -> dict[str, Parameter]:

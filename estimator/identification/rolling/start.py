@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from estimator.arrays import Array
-from estimator.errors import DataError
+from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.full_fit import refuse_without_resonance, stiffness_and_damping_held
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
 from estimator.identification.machine.line_bands import with_lines_left_out
+from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.harmonics import known_lines
@@ -23,6 +26,8 @@ from estimator.signals.channel_response import corrected_record
 from estimator.signals.shaft_angle import with_measured_speed
 
 MIN_CORRELATION_TIMES = 10.0  # that the first seconds have to hold
+BACKGROUND_PARTS = 4  # of a record, in each of which a background is sought
+MAX_PARTS_APART_REL = 0.1  # of kL: a mode of the wrong form moves it by about 20 %, chance by 1 to 3 %
 MAX_KNOWN_LINES_SHARE = 0.5  # of the band, that the lines of the model's own periodic forces may take
 LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
 
@@ -50,6 +55,29 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
         point = fit_model(replace(point.data, residual_is_noise=True), list(point.placed), point)
     _check(point)
     return FirstFit(model, point, masses)
+
+
+def fit_with_background(model: Model, lines: Model, y: Array, rate_hz: float, block: int) -> FirstFit | None:
+    """The fit with the structural modes and the spectrum of the force that a record shows; arguments as of `first_fit`.
+
+    None where there are none, or where the quarters of the record do not agree: a support and a part on the cap look
+    alike, and only chance decides between them where the record does not tell.
+    """
+    fits: list[FirstFit] = []
+    for part in (*np.array_split(y, BACKGROUND_PARTS), y):
+        try:
+            first = first_fit(model, lines, part, rate_hz, block)
+            if (background := find_background(first.model, first.point)) is None:
+                return None
+            own = replace(first.model, background=background)
+            point = fit_record(own, motion_record(own, corrected_record(own, part, rate_hz), rate_hz, block))
+        except (DataError, NotFiniteError, np.linalg.LinAlgError):
+            return None
+        fits.append(replace(first, model=own, point=point))
+        kL = np.array([one.point.kL for one in fits])
+        if np.any(np.ptp(kL, axis=0) > MAX_PARTS_APART_REL * kL[0]):
+            return None
+    return fits[-1]
 
 
 def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:

@@ -110,7 +110,7 @@ def motion_record(
     if (periodic := periodic_series(model, places, t, phase, rate_hz)) is not None:
         known -= periodic
     if model.background is not None:
-        _bring_in_background(model.background, places, (x, v, known), _rows_of(stretches), rate_hz)
+        bring_in_background(model.background, places, (x, v, known), _rows_of(stretches), rate_hz)
     bins = fitted_bins(model, rate_hz, block)
     _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
@@ -250,7 +250,7 @@ def _rows_of(stretches: list[slice]) -> list[slice]:
     return [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
 
-def _bring_in_background(
+def bring_in_background(
     background: Background, places: tuple[str, ...], series: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
     rows_of_stretches: list[slice], rate_hz: float,
 ) -> None:  # fmt: skip

@@ -93,6 +93,12 @@ def test_a_jump_of_the_parameters_is_said_and_a_gap_is_none() -> None:
     assert told.feed(20, SOUND, 5_000.0) == []
 
 
+def test_a_background_that_the_estimate_takes_over_is_no_change_of_the_machine() -> None:
+    told = Told()
+    told.feed(20, SOUND, 20_000.0)
+    assert told.feed(20, SOUND | {"background_found_s": 20.5}, 5_000.0, kL=1.1e7) == []
+
+
 def test_what_was_named_after_a_jump_is_not_told_twice() -> None:
     told = Told()
     told.feed(20, SOUND, 20_000.0)
