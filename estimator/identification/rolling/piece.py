@@ -74,8 +74,8 @@ def piece_record(
     starts = motion.start + margin + np.flatnonzero(valid) * block
     return replace(
         like, v=taken(v), x=taken(x), known=taken(known), t=(motion.start + rows) / like.rate_hz, phase=phase[at],
-        start=starts, fold=np.zeros(starts.size, np.int64), measured=slow, slow=slow, denoise_correction=correction, level=None,
-        below_band_force=None, free_inertia={i: taken(a[i]) for i in like.free_inertia},
+        start=starts, fold=np.zeros(starts.size, np.int64), measured=slow, slow=slow, denoise_correction=correction,
+        level=None, below_band_force=None, free_inertia={i: taken(a[i]) for i in like.free_inertia},
     )  # fmt: skip
 
 
