@@ -34,8 +34,8 @@ OF_RUN = {
 TABLE_COLUMNS = {
     "runs": OF_RUN | {
         "task": "string", "window_s": "float64", "seconds": "float64", "rate_hz": "float64", "status": "string",
-        "code": "string", "reason": "string", "notes": "strings", "took_s": "float64", "bound_mb": "float64",
-        "peak_mb": "float64", "version": "string", "run_at": "time",
+        "code": "string", "reason": "string", "notes": "strings", "took_s": "float64", "cpu_s": "float64",
+        "bound_mb": "float64", "peak_mb": "float64", "version": "string", "run_at": "time",
     },
     "parameters": OF_RUN | {
         "name": "string", "value": "float64", "sd": "float64", "unit": "string", "identifiable": "bool_",

@@ -43,12 +43,13 @@ def answer(task: Task) -> dict[str, Any]:
         keep_freed()
         _say_begun(task)
         row = task.row() | {"status": "failed", "code": "", "reason": "", "notes": [], "rows": {}}
-        begun, own_peak = time.monotonic(), _reset_peak()
+        begun, begun_cpu, own_peak = time.monotonic(), time.process_time(), _reset_peak()
         try:
             row |= {"run_at": time.time(), **_answered(task, row["notes"].append, row)}
         except Exception as error:
             row |= failure(error, task)
         row["took_s"] = round(time.monotonic() - begun, 3)
+        row["cpu_s"] = round(time.process_time() - begun_cpu, 3)
         row["peak_mb"] = _peak_mb() if own_peak else None
         _let_go()
         return row

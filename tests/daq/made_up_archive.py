@@ -29,7 +29,7 @@ direction = "y"
 kind = "velocity"
 unit = "mm/s"
 """
-TIMES = ("took_s", "peak_mb", "run_at")  # columns that differ between two runs
+TIMES = ("took_s", "cpu_s", "peak_mb", "run_at")  # columns that differ between two runs
 
 
 def record(path: Path, seconds: float = 4.0, level: float = 1.0, seed: int = 0) -> None:
