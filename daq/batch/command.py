@@ -17,12 +17,11 @@ from daq.base.contract.errors import ConfigError, LogError
 from .archive import LogSource, RigsByField, RigSource, find_logs, read_rig
 from .cluster import connected
 from .run import Loop, rate_text
-from .tables import MAX_FALSE_DISCOVERY_RATE, NOTHING_NAMED, Results
+from .tables import DONE_STATUS, MAX_FALSE_DISCOVERY_RATE, NOTHING_NAMED, Place, Results
 from .task import WINDOWS_TASK, Task, Windows
 
 BATCH_MODULES = ("distributed", "fsspec", "pyarrow")
 MOST_REASONS = 5  # that are shown; the table has them all
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,27 +56,19 @@ class Asked:
 class Known:
     """What the tables hold already, by the place of each task."""
 
-    rows: dict[tuple[Any, ...], Row]
+    runs: dict[Place, tuple[str, str, float]]
     only_failed: bool
     skipped: int = field(default=0, init=False)
 
-    @classmethod
-    def of(cls, runs: Sequence[Row], only_failed: bool) -> Known:
-        return cls({(r["log"], r["rig"], r["task"], r["from_s"], r["window_s"]): r for r in runs}, only_failed)
-
-    def row(self, task: Task) -> Row | None:
-        """The row of a task as it is now asked for; None if it is to be done."""
-        row = self.rows.get(task.place)
-        return row if row is not None and row["key"] == task.key else None
+    def seconds(self, task: Task) -> float | None:
+        """How long the log of a task is, if that task has been done as it is now asked for."""
+        key, status, seconds = self.runs.get(task.place, ("", "", 0.0))
+        return seconds if key == task.key and status == DONE_STATUS else None
 
     def settled(self, task: Task) -> bool:
         """Whether a task needs not be done."""
-        there = self.rows.get(task.place)
-        failed = there is not None and there["status"] != "done"
-        if task.name == WINDOWS_TASK and self.only_failed and there is None:
-            done = True
-        else:
-            done = not failed if self.only_failed else self.row(task) is not None
+        key, status, _ = self.runs.get(task.place, ("", DONE_STATUS, 0.0))
+        done = status == DONE_STATUS if self.only_failed else key == task.key
         self.skipped += done
         return done
 
@@ -88,7 +79,7 @@ def batch(output: Output, patterns: Sequence[str], out: Path, asked: Asked) -> N
     begun = time.monotonic()
     logs = find_logs(patterns, asked.rig_source())
     with Results.opened(out) as results:
-        known = Known.of(results.runs(), asked.only_failed)
+        known = Known(results.known(), asked.only_failed)
         tasks = [task for task in _tasks(logs, asked, known) if not known.settled(task)]
         loop = _run(output, asked, results, known, tasks) if tasks else None
         _tell(output, asked, results, (len(logs), known.skipped, time.monotonic() - begun), loop)
@@ -102,9 +93,9 @@ def _tasks(logs: Sequence[LogSource], asked: Asked, known: Known) -> Iterator[Ta
             yield from whole
             continue
         cut = Task(log=log, name=WINDOWS_TASK, version=version(), seconds=asked.windows.length_s)
-        row = known.row(cut)
-        if row is not None and row["status"] == "done":
-            yield from cut.windows(asked.windows, row["seconds"], asked.names)
+        seconds = known.seconds(cut)
+        if seconds is not None:
+            yield from cut.windows(asked.windows, seconds, asked.names)
         else:
             yield cut
 
@@ -133,25 +124,23 @@ def _tell(
     """What was done, for people and as JSON. Raises LogError if nothing came of anything."""
     logs, skipped, seconds = counts
     done, failed = (0, 0) if loop is None else (loop.done - loop.failed, loop.failed)
-    rows = results.runs()
-    bad = [row for row in rows if row["status"] != "done"]
-    verdicts = results.verdicts()
-    named = [v for v in verdicts if v["verdict"] not in NOTHING_NAMED]
+    rows, bad, verdicts = len(results.known()), results.failed(), results.verdicts()
+    named = [stands for verdict, stands in verdicts if verdict not in NOTHING_NAMED]
     value: dict[str, Any] = {
         "schema": 1,
         "out": str(results.folder),
         "scheduler": asked.scheduler or "local",
         "logs": logs,
         "runs": {"done": done, "failed": failed, "already_there": skipped},
-        "table": {"runs": len(rows), "failed": len(bad)},
+        "table": {"runs": rows, "failed": len(bad)},
         "reasons": [{"code": code, "count": n, "example": text} for (code, text), n in reasons(bad)],
-        "verdicts": dict(Counter(v["verdict"] for v in verdicts).most_common()),
+        "verdicts": dict(Counter(verdict for verdict, _ in verdicts).most_common()),
         "correction": {
             "method": "Benjamini-Hochberg",
             "records": len(verdicts),
             "false_discovery_rate": MAX_FALSE_DISCOVERY_RATE,
             "named": len(named),
-            "stand": sum(bool(v["stands"]) for v in named),
+            "stand": sum(named),
         },
         "seconds": seconds,
     }
@@ -171,12 +160,12 @@ def _tell(
         )
     people.append(f"{results.folder}: runs, parameters, verdicts, severity (.parquet)")
     output.result(value, *people)
-    if rows and len(bad) == len(rows):
+    if rows and len(bad) == rows:
         raise LogError(f"{results.folder}: every task failed; the first reason: {reasons(bad)[0][0][1]}")
 
 
-def reasons(failed: Sequence[Row]) -> list[tuple[tuple[str, str], int]]:
+def reasons(failed: Sequence[tuple[str, str]]) -> list[tuple[tuple[str, str], int]]:
     """(code, an example) -> how many tasks failed so, the most frequent first."""
-    count = Counter(row["code"] for row in failed)
-    example = {row["code"]: row["reason"] for row in reversed(failed)}
+    count = Counter(code for code, _ in failed)
+    example = dict(reversed(failed))
     return [((code, example[code]), n) for code, n in count.most_common()]

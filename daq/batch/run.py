@@ -19,6 +19,7 @@ from .work import BEGUN_TOPIC, answer
 
 TICK_S = 0.5  # between two looks at what is overdue
 STORE_S, STORE_SHARE, STORE_ROWS = 2.0, 0.01, 500  # what is done is stored so often, or after a share of the time
+MERGED_ROWS = 20_000  # what lies in pieces at most: a merge of more would need more memory
 IN_FLIGHT_PER_CORE, LEAST_IN_FLIGHT = 20, 50  # tasks that the scheduler holds: enough for its workers never to wait
 RESTART_S = 20  # for a worker that is ended over a task
 DEAD_TEXT = "ended its worker each time, most likely for want of memory: give --window, or larger workers"
@@ -47,7 +48,7 @@ class Loop:
         self._begun: dict[str, tuple[float, str]] = {}  # key -> when, and at which worker
         self._rows: list[dict[str, Any]] = []
         self._stored_s = self._started_s = time.monotonic()
-        self.total = self.done = self.failed = 0
+        self.total = self.done = self.failed = self._pending = 0
 
     def run(self, tasks: Iterable[Task]) -> None:
         """Do all tasks. What is done is stored, whatever ends it.
@@ -156,6 +157,10 @@ class Loop:
         rows, self._rows = self._rows, []
         self._stored_s = now_s
         self.results.add(rows)
+        self._pending += len(rows)
+        if self._pending >= MERGED_ROWS:
+            self.results.merge()
+            self._pending = 0
 
     def _tell(self) -> None:
         spent = time.monotonic() - self._started_s

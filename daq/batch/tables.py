@@ -52,7 +52,10 @@ TABLE_COLUMNS = {
         "kurtosis": "float64", "velocity_rms_mm_s": "float64", "displacement_rms_um": "float64", "zone": "string",
     },
 }  # fmt: skip
+Place = tuple[Any, ...]  # what a run is of: the values of these columns
+PLACE_COLUMNS = ("log", "rig", "task", "from_s", "window_s")
 SORT_COLUMNS = ("log", "rig", "from_s", "task")
+DONE_STATUS = "done"
 NOTHING_NAMED = ("complete", "unknown")  # verdicts that name no effect
 
 
@@ -91,11 +94,20 @@ class Results:
         finally:
             os.close(lock)
 
-    def runs(self) -> list[dict[str, Any]]:
-        """The table of runs: the columns that say whether a task is to be done."""
-        columns = ["key", "log", "rig", "task", "from_s", "window_s", "seconds", "status", "code", "reason"]
-        rows: list[dict[str, Any]] = self._table("runs").select(columns).to_pylist()
-        return rows
+    def known(self) -> dict[Place, tuple[str, str, float]]:
+        """Key, status and length in s of each run, by its place."""
+        rows = self._columns("runs", (*PLACE_COLUMNS, "key", "status", "seconds"))
+        return {tuple(place): (key, status, seconds) for *place, key, status, seconds in rows}
+
+    def failed(self) -> list[tuple[str, str]]:
+        """Code and reason of each run that failed."""
+        rows = self._columns("runs", ("status", "code", "reason"))
+        return [(code, reason) for status, code, reason in rows if status != DONE_STATUS]
+
+    def verdicts(self) -> list[tuple[str, bool]]:
+        """The verdict of each diagnosis, and whether it stands in the archive."""
+        rows = self._columns("verdicts", ("task", "verdict", "stands"))
+        return [(verdict, bool(stands)) for task, verdict, stands in rows if task == "diagnose"]
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Store rows of runs, each with its `rows`, as one piece. Raises LogError or ConfigError if it cannot be."""
@@ -113,26 +125,27 @@ class Results:
         from pyarrow import parquet
 
         pieces = self._numbered()
-        rows: dict[tuple[Any, ...], dict[str, Any]] = {}
+        rows: dict[Place, dict[str, Any]] = {}
         for path in pieces:
             for row in self._piece(path):
-                rows[_place(row)] = row  # the newest one holds
+                rows[tuple(row[c] for c in PLACE_COLUMNS)] = row  # the newest one holds
         if not rows and (self.folder / "runs.parquet").exists():
             self._remove(pieces)
             return
-        old = self._table("runs")
-        columns = ("log", "rig", "task", "from_s", "window_s", "key")
-        gone = {row["key"] for row in old.select(columns).to_pylist() if _replaced(row, rows)}
-        gone |= {row["key"] for row in rows.values()}  # some tables may have them from a merge that was cut off
+        gone = {row["key"] for row in rows.values()}  # some tables may have them from a merge that was cut off
+        without_rig = {(log, "", *rest) for log, _, *rest in rows}  # and now it has one
+        for *place, key in self._columns("runs", (*PLACE_COLUMNS, "key")):
+            if tuple(place) in rows or tuple(place) in without_rig:
+                gone.add(key)
         for name in reversed(TABLE_COLUMNS):  # runs last: it says what is gone
             whole = _merged(self._table(name), name, list(rows.values()), gone)
             _write(self.folder / f"{name}.parquet", whole, parquet)
         self._remove(pieces)
 
-    def verdicts(self) -> list[dict[str, Any]]:
-        """The verdicts of all diagnoses."""
-        columns = ["key", "task", "verdict", "p_archive_records", "stands"]
-        return [row for row in self._table("verdicts").select(columns).to_pylist() if row["task"] == "diagnose"]
+    def _columns(self, table: str, names: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+        """Some columns of a table, row by row: many rows as dictionaries would fill the memory."""
+        whole = self._table(table)
+        return zip(*(whole[name].to_pylist() for name in names), strict=True)
 
     def _table(self, name: str) -> pa.Table:
         from pyarrow import ArrowException, parquet
@@ -182,16 +195,6 @@ def _write(path: Path, table: pa.Table, parquet: Any) -> None:
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
     """A row as JSON has it: times in s of Unix."""
     return {k: v.timestamp() if isinstance(v, datetime) else v for k, v in row.items()}
-
-
-def _place(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return row["log"], row["rig"], row["task"], row["from_s"], row["window_s"]
-
-
-def _replaced(row: Mapping[str, Any], rows: Mapping[tuple[Any, ...], Any]) -> bool:
-    """Whether a row of a table gives way to one of `rows`; one without a rig file also to one of any."""
-    place = _place(row)
-    return place in rows or (not row["rig"] and any(p[0] == place[0] and p[2:] == place[2:] for p in rows))
 
 
 def _merged(old: pa.Table, name: str, rows: Sequence[Mapping[str, Any]], gone: set[str]) -> pa.Table:

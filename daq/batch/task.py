@@ -77,7 +77,7 @@ class Task:
     seconds: float | None = None
 
     @property
-    def place(self) -> tuple[str, str, str, float | None, float | None]:
+    def place(self) -> tuple[Any, ...]:
         """What the row is of: a row of the same place gives way to a newer one."""
         return self.log.url, self.log.rig.path, self.name, self.from_s, self.seconds
 

@@ -74,7 +74,7 @@ def test_a_newer_row_of_a_place_takes_the_older_one_with_all_that_came_of_it(tmp
         results.merge()
         results.add([run("/a", key="new", rows=parameter(2.0)), run("/b", rows=parameter(3.0))])
     with Results.opened(tmp_path) as results:  # the pieces of a command that was killed
-        assert [r["key"] for r in results.runs()] == ["new", "/b fit"]
+        assert [(place[0], run[0]) for place, run in results.known().items()] == [("/a", "new"), ("/b", "/b fit")]
     assert [r["value"] for r in table(tmp_path, "parameters")] == [2.0, 3.0]
 
 
@@ -101,7 +101,7 @@ def test_a_piece_without_an_end_is_none(tmp_path: Path) -> None:
     first = tmp_path / "pieces" / "00000001.parquet"
     first.write_bytes(first.read_bytes()[:50])
     with Results.opened(tmp_path) as results:
-        assert [r["log"] for r in results.runs()] == ["/b"]
+        assert [place[0] for place in results.known()] == ["/b"]
 
 
 def test_p_values_pay_for_all_records(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_tables_of_others_are_refused(tmp_path: Path) -> None:
     other = pq.read_table(path).replace_schema_metadata({SCHEMA_KEY: "7"})
     pq.write_table(other, path)
     with Results.opened(tmp_path) as results, pytest.raises(ConfigError, match="its schema is 7"):
-        results.runs()
+        results.known()
     path.write_bytes(b"junk")
     with Results.opened(tmp_path) as results, pytest.raises(LogError, match="cannot be read as a table"):
-        results.runs()
+        results.known()
