@@ -43,6 +43,8 @@ VALUE_METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "last_index": ("Device sample index of the last status.", ()),
     "estimate": ("Rolling estimate; absent where the data cannot tell.", ("parameter", "unit")),
     "estimate_sd": ("Its standard deviation.", ("parameter", "unit")),
+    "alarm": ("1 while an alarm of the rig file is raised, else 0.", ("what",)),
+    "alarm_learning": ("1 while what is usual is learned, else 0.", ("what",)),
     "missing_force_percent": ("Still predictable part of the bearing force.", ("which",)),
     "warm_up_seconds": ("Data before the first rolling estimate; absent afterwards.", ("which",)),
 }
@@ -154,6 +156,11 @@ class MetricsSink:
             now[("clock_drift_ppm",)] = status.clock.drift_ppm
             now[("clock_bound_seconds",)] = status.clock.bound_ns * 1e-9
         self.numbers.update(now)
+
+    def alarm(self, what: str, state: str) -> None:
+        """The state of an alarm: "ok", "alarm" or "learning"."""
+        self.numbers[("alarm", what)] = float(state == "alarm")
+        self.numbers[("alarm_learning", what)] = float(state == "learning")
 
     def close(self) -> None:
         """Stop serving, once the other devices have ended too."""

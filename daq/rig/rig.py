@@ -29,6 +29,7 @@ from estimator.model import (
     Shaft,
 )
 
+from .alarm_table import AlarmTable, alarm_problems
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
 from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
@@ -87,6 +88,11 @@ class Rig:
     def estimator(self) -> EstimatorTable:
         """The [estimator] table: method and time constant of the rolling estimate."""
         return self.file.estimator
+
+    @property
+    def alarms(self) -> list[AlarmTable]:
+        """The [[alarm]] tables."""
+        return self.file.alarm
 
     @property
     def link(self) -> LinkTable:
@@ -277,6 +283,10 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
         if name not in (names := [c.name for c in channels]):
             text = f"there is no channel of this name; {did_you_mean(name, names, 'there are')}"
             problems.append(Problem(("link", "signals", name), text))
+    if channels and "alarm" in parts:
+        places = [f"{c.node}.{c.direction}" for c in motions]
+        classed = parts["machine"].iso20816 is not None if "machine" in parts else "machine" in data
+        problems += alarm_problems(parts["alarm"], [c.name for c in channels], places, classed)
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0

@@ -16,17 +16,15 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from .alarm_table import AlarmTable
 from .bearings import BEARING_GEOMETRIES, of_designation
+from .table import Table
 from .units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical, factor, foreign, sensitivity_parts
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Node = Literal["bearing1", "bearing2"]
 MAX_ANALOGUE_ORDER = 20  # poles of an analogue filter: beyond them the design itself loses its digits
-
-
-class Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
 class NumberOrTable(Table):
@@ -388,3 +386,4 @@ class RigFile(Table):
     model: ModelTable = ModelTable()
     channel: Annotated[list[ChannelTable], Field(min_length=1)]
     link: LinkTable = LinkTable()
+    alarm: list[AlarmTable] = []

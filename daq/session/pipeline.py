@@ -14,6 +14,7 @@ from daq.base.contract.errors import ConfigError, LogError
 from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Reporting, Session, Sink, Status
 from daq.rig.units import UNITS_OF_KIND, canonical
+from daq.trend.names import ALARM_CODE, ALARM_LEARNED_CODE, ALARM_OVER_CODE
 from drivers.contract import Block, Gap, Info, LinkStats, Notice, Reading
 from estimator.model import Model
 from estimator.results import Estimate
@@ -33,6 +34,7 @@ NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go
 OWN_CODES = frozenset(
     {"clipped", "no_estimate", "estimator_failed", "sink_failed", "channels_by_order", "stopped_behind"}
     | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
+    | {ALARM_CODE, ALARM_OVER_CODE, ALARM_LEARNED_CODE}
     | LAYER_CODES
 )
 

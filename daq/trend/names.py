@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+ALARM_CODE, ALARM_OVER_CODE, ALARM_LEARNED_CODE = "alarm", "alarm_over", "alarm_learned"  # of notices
 ALARM_MARK = "_alarm"  # at the end of a segment's name
 TREND_FOLDER = "trend"  # beside the segments
+ALARM_MEMORY = "alarms.json"  # in it: what was learned
 SEGMENTS_KEY, NUMBER_KEY, SCHEDULE_KEY = "segments", "segment", "every"  # of the metadata of a segment
 SEGMENT_NAME = re.compile(r"(?P<stem>.*)_(?P<time>\d{8}T\d{6}\.\d{3}Z)(?:-\d+)?(?P<alarm>_alarm)?\.mcap")
 _UNFIT_CHARACTERS = re.compile(r"[^\w.-]+")

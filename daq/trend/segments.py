@@ -23,11 +23,10 @@ from drivers.contract import Block, Gap, Info, Notice, Reading
 from estimator.results import Estimate
 
 from .chores import Chores
-from .names import NUMBER_KEY, SCHEDULE_KEY, SEGMENTS_KEY, marked, segment_name, segments
+from .names import ALARM_CODE, NUMBER_KEY, SCHEDULE_KEY, SEGMENTS_KEY, marked, segment_name, segments
 from .retention import in_words, remove_old, total_bytes
 from .sizes import Cut, Keep
 
-ALARM_CODE = "alarm"  # of the notice that an alarm begins
 RETRY_S = 1.0  # a segment that could not be opened is tried again
 KEEP_EVERY_S = 60.0  # also without a new segment: somebody else may fill the disk
 MAX_EARLY = 1000  # notices that wait for the next segment

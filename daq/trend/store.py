@@ -15,6 +15,7 @@ from drivers.contract import Block, Gap, Info, Notice, Reading
 from estimator.model import MachineClass
 from estimator.results import MISSING_FORCE_KEY, Estimate
 
+from .alarms.watch import AlarmState
 from .chores import Chores
 from .days import DayWriter, Row
 
@@ -79,9 +80,12 @@ class TrendStore:
         """What the layers of a diagnosis say of the samples before `stop`; called from any thread."""
         self._layers.append(seen)
 
-    def alarm(self, kind: str, row: Row) -> None:
-        """An alarm begins or is over. kind : "alarm_raised" or "alarm_over"."""
-        self._rows.append(row._replace(kind=kind, time_ns=row.time_ns or self._now_ns))
+    def alarm(self, state: AlarmState) -> None:
+        """An alarm begins or is over."""
+        if state.since_ns:
+            kind = "alarm_raised" if state.state == "alarm" else "alarm_over"
+            own = {"value": state.value, "sd": state.sd, "unit": state.unit, "text": state.text}
+            self._rows.append(Row(state.since_ns, kind, state.what, **own))  # type: ignore[arg-type]
 
     def status(self, status: Status) -> None: ...
 

@@ -43,6 +43,12 @@ RemoveAlarms = Annotated[bool, typer.Option("--remove-alarms", help="Remove segm
 Every = Annotated[
     str | None, typer.Option("--every", metavar="1h", help="Store samples once in so long, for --for; estimate always.")
 ]
+MqttOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mqtt", metavar="URL", help="Publish alarms: mqtt://USER@HOST:PORT/PREFIX (mqtts: with TLS); HOST is enough."
+    ),
+]
 ForOption = Annotated[str | None, typer.Option("--for", metavar="30s", help="How long, of each --every.")]
 
 
@@ -64,10 +70,13 @@ def run(
     remove_alarms: RemoveAlarms = False,
     every: Every = None,
     length: ForOption = None,
+    mqtt: MqttOption = None,
     rerun: Annotated[
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if any sample was lost.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 if any sample was lost or an alarm came.")
+    ] = False,
     metrics: Annotated[
         int | None, typer.Option("--metrics", metavar="PORT", help="Prometheus metrics on 127.0.0.1:PORT.")
     ] = None,
@@ -87,7 +96,7 @@ def run(
     from daq.commands.live.watching import Watching
 
     watching = Watching.asked(
-        out, segment, keep or (), keep_free, every=every, length=length, remove_alarms=remove_alarms
+        out, segment, keep or (), keep_free, every=every, length=length, remove_alarms=remove_alarms, mqtt=mqtt
     )
     body(Output(json, quiet, verbose), rigs, link, seconds, out, rerun, strict, metrics, watching)
 

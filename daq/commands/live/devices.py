@@ -12,18 +12,16 @@ from typing import TYPE_CHECKING, Any
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
 from daq.base.contract.errors import ConfigError, RotorscopeError, exit_status
-from daq.base.contract.sink import Sink
 from daq.log.codec import text as as_text
 from daq.report.rerun.process import VIEWER_PORT
 from daq.rig.rig import load_rig
 from daq.session.acquire import FINITE_KINDS, Device, RunSummary, acquire_all
-from daq.session.layer_watch import Heard
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks
 from drivers.contract import Notice, Patient
 
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
-from .watching import Watching, watching_sinks
+from .watching import Watched, Watching, watched
 
 if TYPE_CHECKING:
     from .devices_table import DevicesTable
@@ -37,11 +35,12 @@ class DevicesFailed(RotorscopeError):
         self.exit_status = max(exit_status(error) or 1 for error in failed.values())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
     device: Device
     link: str
     log: Path | None
+    watch: Watched
 
 
 def run_devices(
@@ -53,26 +52,28 @@ def run_devices(
     A link that is not there is tried again until the end, as one that was lost is.
     """
     _folder(out, ".mcap", "--out")
-    with Stop() as stop, ExitStack() as undo:
+    with Stop() as stop, ExitStack() as leaving, ExitStack() as undo:
         server = None if metrics is None else serve_metrics(output, metrics)
         devices: list[_Asked] = []
         names = _names([path for path, _ in asked])
         table = _table(output, names)
-        for name, (path, link) in zip(names, asked, strict=True):
-            rig = load_rig(path)
+        rigs = [load_rig(path) for path, _ in asked]
+        publisher = None if watching is None else watching.publisher(output, rigs, leaving)
+        for name, rig, (_, link) in zip(names, rigs, asked, strict=True):
             driver = open_driver(link, rig)
             live = driver.kind not in FINITE_KINDS
-            log, sinks, hear = None if out is None else out / f"{name}.mcap", list[Sink](), list[Heard]()
-            if watching is not None and watching.cut is not None and out is not None:
-                sinks, hear = watching_sinks(watching, rig, out / name, name, live=live)
-                log = None
-            sinks += make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
-            sinks += naming_sinks(rig, live, hear)
-            log = out / name if log is None and out is not None else log
+            segmented = watching is not None and watching.cut is not None
+            log = None if out is None else out / (name if segmented else f"{name}.mcap")
+            shown, watch = None if server is None else server.sink(), Watched(sinks=[], hear=[])
+            if watching is not None:
+                watch = watched(watching, rig, log, name, live=live, publisher=publisher, metrics=shown)
+            viewer = _viewer(rerun, name, first=not devices)
+            sinks = [*watch.sinks, *make_sinks(output, None if segmented else log, viewer, live=live, table=False)]
+            sinks += naming_sinks(rig, live, watch.hear)
             for sink in sinks:
                 undo.callback(sink.close)
-            if server is not None:
-                sinks.append(server.sink())
+            if shown is not None:
+                sinks.append(shown)
             if table is not None:
                 sinks.append(table.rows[name])
             url = link or rig.link.url or ""
@@ -83,7 +84,7 @@ def run_devices(
                 sinks=sinks,
                 metadata={"command": "run", "link": url},
             )
-            devices.append(_Asked(device, url, log))
+            devices.append(_Asked(device=device, link=url, log=log, watch=watch))
         undo.pop_all()
         operators = {name: Operator(output, name) for name in names}
 
@@ -121,7 +122,8 @@ def _report(
         value: dict[str, Any] = {"schema": 1, "device": name, "rig": each.device.rig.model.name, "url": each.link}
         wrong: Exception | None
         if isinstance(result, RunSummary):
-            wrong = run_failure(result, strict, each.link, stopped)
+            wrong = run_failure(result, strict, each.link, stopped, alarms=each.watch.raised())
+            value |= each.watch.to_json()
             log = log_path(each.device.sinks, each.log) if result.samples or result.lost_samples else None
             value = result.to_json() | value | ({"log": str(log)} if log else {})
             people += ["", f"{name} ({each.link})", *in_words(result, log)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +14,17 @@ from daq.base.contract.errors import CheckFailed
 from daq.base.contract.sink import Sink
 from daq.session.acquire import RunSummary
 from daq.session.service import failure
+from daq.trend.names import ALARM_CODE, ALARM_LEARNED_CODE, ALARM_OVER_CODE
 from drivers.contract import Notice
 
 if TYPE_CHECKING:
     from daq.report.metrics import MetricsServer
 
 # the end of what was told
-RECOVERY_CODES = ("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back")
+RECOVERY_CODES = (
+    *("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back"),
+    *(ALARM_OVER_CODE, ALARM_LEARNED_CODE),
+)
 
 
 class Operator:
@@ -31,7 +35,9 @@ class Operator:
         self._device = f"{device}: " if device else ""
 
     def __call__(self, notice: Notice) -> None:
-        if notice.level == "info" and notice.code not in RECOVERY_CODES:
+        if notice.code == ALARM_CODE:  # on standard output: it is what was asked for
+            self._output.say(f"{self._device}{notice.text}")
+        elif notice.level == "info" and notice.code not in RECOVERY_CODES:
             self._output.detail(f"{self._device}{notice.text}")
         else:
             level = "note" if notice.level == "info" else notice.level
@@ -76,11 +82,16 @@ def serve_metrics(output: Output, port: int) -> MetricsServer:
     return server
 
 
-def run_failure(summary: RunSummary, strict: bool, link: str, stopped: bool = False) -> Exception | None:
-    """Why a run that came to its end failed nevertheless; with `strict` also if a sample was lost.
+def run_failure(
+    summary: RunSummary, strict: bool, link: str, stopped: bool = False, alarms: Sequence[str] = ()
+) -> Exception | None:
+    """Why a run that came to its end failed nevertheless; with `strict` also if a sample was lost, or for an alarm.
 
-    stopped : by a signal, also before the first sample.
+    stopped : by a signal, also before the first sample. alarms : what each that was raised says.
     """
+    if strict and alarms and not summary.lost_log:
+        many = f" (and {len(alarms) - 1} more)" if len(alarms) > 1 else ""
+        return CheckFailed(f"alarm: {alarms[0]}{many}; --strict asks for none")
     if strict and summary.lost_samples and not summary.lost_log:
         return CheckFailed(f"{summary.lost_samples} samples were lost; --strict asks for none")
     return failure(summary, link, stopped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,18 +13,16 @@ from daq.base.console.stop import Stop
 from daq.base.contract.dates import Recorded
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
 from daq.base.contract.part import WHOLE_RECORD, Part
-from daq.base.contract.sink import Sink
 from daq.rig.edit import of_channels
 from daq.rig.rig import Rig, load_rig
 from daq.session.acquire import FINITE_KINDS, RECORDED_KINDS, RunSummary, acquire_from
-from daq.session.layer_watch import Heard
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks, refuse_own_log, replay_failure
 from daq.trend.names import SEGMENTS_KEY
 
 from .part_of import PartOf
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
-from .watching import Watching, watching_sinks
+from .watching import Watched, Watching, watched
 
 if TYPE_CHECKING:
     from daq.log.reader import Recording
@@ -70,26 +69,30 @@ def run_rig(
         driver = PartOf(driver, part, link or "")
     server = None if metrics is None else serve_metrics(output, metrics)
     importing = command == "import"  # all of it or none
-    with Stop() as stop:
+    with Stop() as stop, ExitStack() as leaving:
         live = driver.kind not in FINITE_KINDS
         wanted = None if not importing else lambda: not stop.event.is_set()
         recorded, offset_ns = driver.kind in RECORDED_KINDS, getattr(driver, "wall_offset_ns", None)
-        log, segments, hear = out, list[Sink](), list[Heard]()
-        if watching is not None and watching.cut is not None and out is not None:
-            of, log = Recorded(offset_ns) if recorded else None, None
-            segments, hear = watching_sinks(watching, rig, out, rig.model.name, live=live, recorded=of)
+        shown = None if server is None else server.sink()
+        log, watch = out, Watched(sinks=[], hear=[])
+        if watching is not None:
+            of, log = Recorded(offset_ns) if recorded else None, out if watching.cut is None else None
+            publisher = watching.publisher(output, [rig], leaving)
+            watch = watched(
+                watching, rig, out, rig.model.name, live=live, recorded=of, publisher=publisher, metrics=shown
+            )  # fmt: skip
         own = make_sinks(output, log, rerun, live=live, wanted=wanted, recorded=recorded, wall_offset_ns=offset_ns)
-        sinks = [*segments, *own, *naming_sinks(rig, live, hear)]
-        if server is not None:
-            sinks.append(server.sink())
+        sinks = [*watch.sinks, *own, *naming_sinks(rig, live, watch.hear)]
+        if shown is not None:
+            sinks.append(shown)
         metadata = {"command": command, "link": link or rig.link.url or ""}
         summary = acquire_from(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=Operator(output))
     if importing and stop.event.is_set():
         raise KeyboardInterrupt
-    _report(output, summary, log_path(sinks, out), {"rig": rig.model.name})
+    _report(output, summary, log_path(sinks, out), {"rig": rig.model.name} | watch.to_json())
     if stop.interrupted and not summary.lost_log:
         raise KeyboardInterrupt
-    problem = run_failure(summary, strict, link or rig.link.url or "", stop.event.is_set())
+    problem = run_failure(summary, strict, link or rig.link.url or "", stop.event.is_set(), alarms=watch.raised())
     if problem is not None:
         raise problem
 

@@ -7,6 +7,7 @@ import numpy as np
 from daq.base.contract.dates import utc_text
 from daq.report.numbers import number, unit_text
 
+from ..names import ALARM_CODE
 from ..series import Series, Trend
 
 TREND_HEADINGS = ("what", "last", "± 95 %", "unit", "least", "greatest", "first tenth", "last tenth", "change")
@@ -67,5 +68,9 @@ def what_happened(trend: Trend) -> list[str]:
     lost = {name: sum(r.value or 0.0 for r in trend.events if (r.kind, r.name) == ("gap", name))
             for kind, name in trend.counts if kind == "gap"}  # fmt: skip
     lines += [f"lost: {count:.0f} samples, {name}" for name, count in sorted(lost.items()) if count]
-    often = [f"{name} ({n} times)" if n > 1 else name for (k, name), n in sorted(trend.counts.items()) if k == "notice"]
+    often = [
+        f"{name} ({n} times)" if n > 1 else name
+        for (k, name), n in sorted(trend.counts.items())
+        if k == "notice" and name != ALARM_CODE
+    ]
     return [*lines, *([f"said: {', '.join(often)}"] if often else [])]

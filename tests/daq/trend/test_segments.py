@@ -22,9 +22,9 @@ from daq.session.acquire import RunSummary, acquire_from
 from daq.session.estimation import block_rows
 from daq.session.replay import replay_into
 from daq.trend.folder import LoggedSession, sessions
-from daq.trend.names import Segment, segment_name, segment_of, segments
+from daq.trend.names import ALARM_CODE, Segment, segment_name, segment_of, segments
 from daq.trend.retention import remove_old
-from daq.trend.segments import ALARM_CODE, SegmentedLog
+from daq.trend.segments import SegmentedLog
 from daq.trend.sizes import Cut, Keep, asked_cut, asked_keep
 from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
 

@@ -1,0 +1,1 @@
+"""Alarms: what is watched, when a change is one, who is told."""
