@@ -26,8 +26,6 @@ from estimator.signals.channel_response import corrected_record
 from estimator.signals.shaft_angle import with_measured_speed
 
 MIN_CORRELATION_TIMES = 10.0  # that the first seconds have to hold
-BACKGROUND_PARTS = 4  # of a record, in each of which a background is sought
-MAX_PARTS_APART_REL = 0.1  # of kL: a mode of the wrong form moves it by about 20 %, chance by 1 to 3 %
 MAX_KNOWN_LINES_SHARE = 0.5  # of the band, that the lines of the model's own periodic forces may take
 LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
 
@@ -58,26 +56,19 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
 
 
 def fit_with_background(model: Model, lines: Model, y: Array, rate_hz: float, block: int) -> FirstFit | None:
-    """The fit with the structural modes and the spectrum of the force that a record shows; arguments as of `first_fit`.
+    """The fit with the structural modes and the spectrum of the force that a record shows; None where there are none.
 
-    None where there are none, or where the quarters of the record do not agree: a support and a part on the cap look
-    alike, and only chance decides between them where the record does not tell.
+    Arguments as of `first_fit`.
     """
-    fits: list[FirstFit] = []
-    for part in (*np.array_split(y, BACKGROUND_PARTS), y):
-        try:
-            first = first_fit(model, lines, part, rate_hz, block)
-            if (background := find_background(first.model, first.point)) is None:
-                return None
-            own = replace(first.model, background=background)
-            point = fit_record(own, motion_record(own, corrected_record(own, part, rate_hz), rate_hz, block))
-        except (DataError, NotFiniteError, np.linalg.LinAlgError):
+    try:
+        first = first_fit(model, lines, y, rate_hz, block)
+        if (background := find_background(first.model, first.point)) is None:
             return None
-        fits.append(replace(first, model=own, point=point))
-        kL = np.array([one.point.kL for one in fits])
-        if np.any(np.ptp(kL, axis=0) > MAX_PARTS_APART_REL * kL[0]):
-            return None
-    return fits[-1]
+        own = replace(first.model, background=background)
+        point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))
+    except (DataError, NotFiniteError, np.linalg.LinAlgError):
+        return None
+    return replace(first, model=own, point=point)
 
 
 def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
