@@ -34,11 +34,12 @@ from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_resp
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .anchor import anchor_at
+from .background import BackgroundSearch
 from .follower import Follower
 from .piece import in_time_folds, joined_motion, piece_record
-from .report import is_coloured, is_explained, judged_parameters
+from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import FirstFit, first_fit, fit_with_background
+from .start import FirstFit, first_fit
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 
 WARM_UP_S = 4.0  # of samples, at least, before the first fit
@@ -48,12 +49,6 @@ MIN_BLOCK_ROWS = 128
 RINGING_TIMES = 5.0  # of 1 / (zeta w0) of structural modes, beside a piece of motion: the rest is 0.7 %
 JOBS_PER_BLOCK = 4  # at most, of those that no estimate waits for
 START_BLOCKS = 24  # at least, in the first fit
-BACKGROUND_S = 24.0  # of samples, in which structural modes are looked for where the residual force is not white
-BACKGROUND_PARTS = 4  # of them: each shows them alone
-MAX_PARTS_APART_REL = 0.1  # of kL: a mode of the wrong form moves it by about 20 %, chance by 1 to 3 %
-SEARCH_PAUSE = 2  # all samples so far times this, until the next search
-BACKGROUND_BLOCKS = BACKGROUND_PARTS * START_BLOCKS  # at least, in them
-MAX_BACKGROUND_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
 MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
 MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
 PIECES_PER_WATCH = 6  # of the memory with the candidates
@@ -131,11 +126,7 @@ class RollingEstimator:
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
         self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
         self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
-        longer = max(int(BACKGROUND_S * rate_hz), BACKGROUND_BLOCKS * self._block)
-        longer = min(longer, MAX_BACKGROUND_ROWS) // self._block * self._block
-        self._longer = longer if longer >= BACKGROUND_BLOCKS * self._block else 0
-        self._look_at = longer // BACKGROUND_PARTS  # row from which a background is sought, if a force is not white
-        self._part_stiffness: list[Array] = []  # (places,) N/m each, of the parts that show a background
+        self._background = BackgroundSearch(rate_hz, self._block, START_BLOCKS)
         self._background_s = 0.0  # when it was found
         self._shaft = ShaftAngle(model, rate_hz)
         self._fresh: list[Array] = []  # rows of the block that is not whole yet
@@ -224,7 +215,7 @@ class RollingEstimator:
 
     def _trim(self) -> None:
         """Drop what no later piece and no new start needs."""
-        keep = max(self._wanted, self._longer) // self._block
+        keep = max(self._wanted, self._background.rows) // self._block
         del self._rows[:-keep]
         needed = self._end - self._wanted
         if self._follower is not None:
@@ -357,7 +348,7 @@ class RollingEstimator:
         if self._background_s:
             extra = {**(extra or {}), BACKGROUND_KEY: self._background_s}
         self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=extra)
-        if self._seen >= self._look_at and self._longer and is_coloured(follower):
+        if self._background.is_due(self._seen) and is_coloured(follower):
             self._jobs.append(partial(self._look_for_background, follower))
 
     def _look_for_missing(self, follower: Follower) -> None:
@@ -365,27 +356,12 @@ class RollingEstimator:
         self._missing = missing_force(follower)
 
     def _look_for_background(self, follower: Follower) -> None:
-        """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely.
-
-        A support and a part on the cap look alike, and kL depends on which it is. Where a record does not tell, chance
-        decides: then the fits of its parts differ. They are made as the parts come, one at a time.
-        """
-        part, whole = self._longer // BACKGROUND_PARTS, len(self._part_stiffness) == BACKGROUND_PARTS
-        rows = np.concatenate(self._rows)[-self._longer if whole else -part :]
-        first = fit_with_background(self.model, self._whole, rows, self.rate_hz, self._block)
+        """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""
+        asked = self.model, self._whole, np.concatenate(self._rows), self.rate_hz, self._block
+        first = self._background.look(self._seen, follower.anchor.data.background, *asked)
         if first is not None:
-            self._part_stiffness.append(first.point.kL)
-            apart = np.ptp(self._part_stiffness, axis=0) / self._part_stiffness[0]
-            if not whole and np.all(apart < MAX_PARTS_APART_REL):
-                self._look_at = self._seen + (part if len(self._part_stiffness) < BACKGROUND_PARTS else 0)
-                return
-            if whole and np.all(apart < MAX_PARTS_APART_REL) and is_explained(first):
-                known = follower.anchor.data.background
-                if first.model.background is not None and not first.model.background.agrees_with(known):
-                    self._background_s = self._seen / self.rate_hz
-                    self._begin(first)
-        self._part_stiffness.clear()
-        self._look_at = SEARCH_PAUSE * self._seen
+            self._background_s = self._seen / self.rate_hz
+            self._begin(first)
 
     def _renew_anchor(self, follower: Follower) -> None:
         """Renew the anchor from the last seconds, if they have enough whole blocks, and show the estimate."""

@@ -10,7 +10,6 @@ from estimator.identification.batch.unknown_mass import NO_MASS_REASON, unscaled
 from estimator.model.rig import LINEAR_UNITS
 from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
-from .anchor import anchor_at
 from .cell_power import excess_power
 from .follower import Follower
 from .start import FirstFit
@@ -46,15 +45,6 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
     for place, (power, hz) in zip(anchor.data.places, excess, strict=True):
         out = _with_colour(out, place, power, hz)
     return out
-
-
-def is_explained(first: FirstFit) -> bool:
-    """Whether the spectra of the residual forces of a fit are those of its model."""
-    point, data = first.point, replace(first.point.data, level=None)
-    follower = Follower(anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed), np.inf)
-    follower.take(data, False)
-    follower.solve()
-    return not is_coloured(follower)
 
 
 def is_coloured(follower: Follower) -> bool:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from estimator.arrays import Array
-from estimator.errors import DataError, NotFiniteError
+from estimator.errors import DataError
 from estimator.identification.batch.full_fit import refuse_without_resonance, stiffness_and_damping_held
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
 from estimator.identification.machine.line_bands import with_lines_left_out
-from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.harmonics import known_lines
@@ -53,22 +50,6 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
         point = fit_model(replace(point.data, residual_is_noise=True), list(point.placed), point)
     _check(point)
     return FirstFit(model, point, masses)
-
-
-def fit_with_background(model: Model, lines: Model, y: Array, rate_hz: float, block: int) -> FirstFit | None:
-    """The fit with the structural modes and the spectrum of the force that a record shows; None where there are none.
-
-    Arguments as of `first_fit`.
-    """
-    try:
-        first = first_fit(model, lines, y, rate_hz, block)
-        if (background := find_background(first.model, first.point)) is None:
-            return None
-        own = replace(first.model, background=background)
-        point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))
-    except (DataError, NotFiniteError, np.linalg.LinAlgError):
-        return None
-    return replace(first, model=own, point=point)
 
 
 def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
