@@ -25,7 +25,7 @@ from .report import is_coloured
 from .start import FirstFit, first_fit
 
 RECORD_S = 24.0  # of samples, in which a background is found
-PARTS = 4  # of them: each shows the background alone
+BACKGROUND_PARTS = 4  # of them: each shows the background alone
 MAX_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
 MAX_PARTS_APART_REL = 0.1  # of kL: a mode of the wrong form moves it by about 20 %, chance by 1 to 3 %
 PAUSE_REL = 2  # all samples so far times this, until the next search
@@ -35,9 +35,9 @@ class BackgroundSearch:
     """When to look for a background, and what has been found. rows : that it needs; 0 where they would be too many."""
 
     def __init__(self, rate_hz: float, block: int, least_blocks: int) -> None:
-        rows = min(max(int(RECORD_S * rate_hz), PARTS * least_blocks * block), MAX_ROWS) // block * block
-        self.rows = rows if rows >= PARTS * least_blocks * block else 0
-        self._part, self._next = rows // PARTS, rows // PARTS
+        rows = min(max(int(RECORD_S * rate_hz), BACKGROUND_PARTS * least_blocks * block), MAX_ROWS) // block * block
+        self.rows = rows if rows >= BACKGROUND_PARTS * least_blocks * block else 0
+        self._part, self._next = rows // BACKGROUND_PARTS, rows // BACKGROUND_PARTS
         self._stiffness: list[Array] = []  # (places,) N/m each, of the parts that show a background
 
     def is_due(self, seen: int) -> bool:
@@ -51,12 +51,12 @@ class BackgroundSearch:
 
         seen : rows so far. model, lines, rate_hz, block : as of `first_fit`. y : the last rows (n, channels), SI.
         """
-        whole = len(self._stiffness) == PARTS
+        whole = len(self._stiffness) == BACKGROUND_PARTS
         found = _fit_with_background(model, lines, y[-self.rows if whole else -self._part :], rate_hz, block)
         kL: list[Array] = [] if found is None else [*self._stiffness, found.point.kL]
         agree = found is not None and bool(np.all(np.ptp(kL, axis=0) < MAX_PARTS_APART_REL * kL[0]))
         if agree and not whole:
-            self._stiffness, self._next = kL, seen + (self._part if len(kL) < PARTS else 0)
+            self._stiffness, self._next = kL, seen + (self._part if len(kL) < BACKGROUND_PARTS else 0)
             return None
         self._stiffness, self._next = [], PAUSE_REL * seen
         if found is None or not agree or found.point.data.background is None or not _is_explained(found):
