@@ -17,6 +17,7 @@ from daq.base.contract.errors import ConfigError, LogError
 
 from .days import DAY_SUFFIX, STREAM_SUFFIX, Row, arrow, days_of, read_day
 from .names import TREND_FOLDER
+from .results import is_results, results_rows
 from .sizes import duration_s
 
 MAX_POINTS = 1000  # of a series: as many as a page shows
@@ -148,7 +149,7 @@ def trend_folder(folder: Path) -> Path:
     for place in (folder / TREND_FOLDER, folder):
         if place.is_dir() and (days_of(place, DAY_SUFFIX) or days_of(place, STREAM_SUFFIX)):
             return place
-    text = "holds no trend; give the folder of `rotorscope run --out DIR --segment 10min`"
+    text = "holds no trend; give a folder of `rotorscope run --segment`, or the results of `batch`"
     raise LogError(f"{folder}: {text}")
 
 
@@ -161,29 +162,43 @@ def since_ns(text: str, newest_ns: int) -> int:
     return round((time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp() * 1e9)
 
 
-def read_trend(folder: Path, since: str | None = None) -> Trend:
-    """The trend of a folder. since : "7d" before its end, or an ISO date. Raises LogError, ConfigError."""
-    place = trend_folder(folder)
+def read_trend(folder: Path, since: str | None = None, machine: str | None = None) -> Trend:
+    """The trend of a folder: of segments, or of the results of `rotorscope batch`.
+
+    since : "7d" before its end, or an ISO date. machine : of results of several. Raises LogError, ConfigError.
+    """
     try:
+        if is_results(folder):
+            rows = results_rows(folder, machine)
+            out = _begun(folder, [rows], since)
+            _take(out, rows)
+            return out
+        place = trend_folder(folder)
+        if machine is not None:
+            raise ConfigError(f"--machine {machine}: {folder} is the trend of one; leave it out")
         days = sorted({*days_of(place, DAY_SUFFIX), *days_of(place, STREAM_SUFFIX)})
-        ends = [_ends(read_day(place, day)) for day in dict.fromkeys((days[0], days[-1]))]
-        known = [end for end in ends if end is not None]
-        if not known:
-            raise LogError(f"{place}: the trend holds no row")
-        first_ns, last_ns = min(known)[0], max(known, key=lambda end: end[1])[1]
-        if since is not None:
-            first_ns = max(first_ns, since_ns(since, last_ns))
-        if first_ns > last_ns:
-            raise ConfigError(f"--since {since}: the trend ends at {utc_text(last_ns)}; give an earlier time")
-        bin_ns = max(10**9, (last_ns - first_ns) // MAX_POINTS + 1)
-        out = Trend(path=place, first_ns=first_ns, last_ns=last_ns, bin_ns=bin_ns, series={}, events=[],
-                    counts=Counter(), limits={})  # fmt: skip
+        out = _begun(place, [read_day(place, day) for day in dict.fromkeys((days[0], days[-1]))], since)
         for day in days:
-            if day >= (datetime.fromtimestamp(first_ns / 1e9, UTC) - timedelta(days=1)).strftime("%Y-%m-%d"):
+            if day >= (datetime.fromtimestamp(out.first_ns / 1e9, UTC) - timedelta(days=1)).strftime("%Y-%m-%d"):
                 _take(out, read_day(place, day))
     except OSError as error:
-        raise LogError(f"{place}: cannot be read: {error.strerror or error}") from error
+        raise LogError(f"{folder}: cannot be read: {error.strerror or error}") from error
     return out
+
+
+def _begun(place: Path, tables: list[Any], since: str | None) -> Trend:
+    """A trend without its rows. tables : those with the first and the last one."""
+    known = [end for end in map(_ends, tables) if end is not None]
+    if not known:
+        raise LogError(f"{place}: the trend holds no row with a date")
+    first_ns, last_ns = min(known)[0], max(known, key=lambda end: end[1])[1]
+    if since is not None:
+        first_ns = max(first_ns, since_ns(since, last_ns))
+    if first_ns > last_ns:
+        raise ConfigError(f"--since {since}: the trend ends at {utc_text(last_ns)}; give an earlier time")
+    bin_ns = max(10**9, (last_ns - first_ns) // MAX_POINTS + 1)
+    return Trend(path=place, first_ns=first_ns, last_ns=last_ns, bin_ns=bin_ns, series={}, events=[],
+                 counts=Counter(), limits={})  # fmt: skip
 
 
 def _ends(table: Any) -> tuple[int, int] | None:

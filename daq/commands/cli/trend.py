@@ -12,11 +12,14 @@ from .options import HtmlOption, Json, Output, Quiet, RerunOption, Verbose
 
 def trend(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of `rotorscope run --out DIR --segment 10min`, or its trend.")
+        Path, typer.Argument(metavar="DIR", help="Folder of `rotorscope run --segment`, or results of `batch`.")
     ],
     since: Annotated[
         str | None,
         typer.Option("--since", metavar="7d|DATE", help="Only so long before its end, or from an ISO date on."),
+    ] = None,
+    machine: Annotated[
+        str | None, typer.Option("--machine", metavar="NAME", help="Of the results of several machines, this one.")
     ] = None,
     html: HtmlOption = None,
     rerun: RerunOption = None,
@@ -30,7 +33,7 @@ def trend(
     """
     from daq.commands.live.trend import trend as body
 
-    body(Output(json, quiet, verbose), folder, since, html, rerun)
+    body(Output(json, quiet, verbose), folder, since, machine, html, rerun)
 
 
 def register(app: typer.Typer) -> None:

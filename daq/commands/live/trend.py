@@ -15,8 +15,10 @@ from daq.trend.page.words import TREND_HEADINGS, rows, what_happened
 from daq.trend.series import MAX_POINTS, Trend, read_trend
 
 
-def trend(output: Output, folder: Path, since: str | None, html: Path | None, rerun: str | None) -> None:
-    """Read the trend beside a folder of segments, and show it."""
+def trend(
+    output: Output, folder: Path, since: str | None, machine: str | None, html: Path | None, rerun: str | None
+) -> None:
+    """Read the trend of a folder of segments, or of an archive's results, and show it."""
     check_installed(("pyarrow",), "formats", "trend")
     if html is not None:
         check_installed(("jinja2",), "report", "--html")
@@ -29,7 +31,7 @@ def trend(output: Output, folder: Path, since: str | None, html: Path | None, re
 
         rerun = viewer_target(rerun)
     with output.progress("reading"):
-        found = read_trend(folder, since)
+        found = read_trend(folder, since, machine)
     cells, lines = rows(found), what_happened(found)
     said = []
     if html is not None:

@@ -28,6 +28,7 @@ SURE_LOG_SCALE_SD = 0.12  # of a baseline that is watched by: twice it moves the
 MAX_LOG_SCALE_SD = 0.5  # beyond it a baseline says nothing
 MAX_THRESHOLD = 200.0  # standard deviations
 NODES_OF_MEAN, NODES_OF_SCALE = 7, 7  # of the average over what is not known
+MAX_DELAY_VALUES = 10_000
 NEVER_SHARE = 1e-14  # probability
 START_ERRORS = 50  # of the filter, before its errors are white
 Floats = NDArray[np.float64]
@@ -190,6 +191,11 @@ class Cusum:
         self.up = self.down = 0.0
 
     def delay(self, change: float) -> float:
-        """Values until a change of the mean is an alarm, on average, from the long-run shift alone."""
-        shift = abs(change) * self.baseline.gain / self.baseline.sd
-        return run_length(self.reference, self.threshold, mean=shift)
+        """Values until a change of the mean is an alarm, if the noise adds nothing; on average, if it never is then."""
+        size = abs(change) / self.baseline.sd
+        errors = size * errors_of(np.ones(MAX_DELAY_VALUES), self.baseline.phi, self.baseline.theta)
+        steps = np.cumsum(errors - self.reference)
+        passed = steps - np.minimum(np.minimum.accumulate(steps), 0.0) > self.threshold
+        if passed.any():
+            return float(np.argmax(passed)) + 1.0
+        return run_length(self.reference, self.threshold, mean=size * self.baseline.gain)

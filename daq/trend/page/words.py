@@ -7,7 +7,7 @@ import numpy as np
 from daq.base.contract.dates import utc_text
 from daq.report.numbers import number, unit_text
 
-from ..names import ALARM_CODE
+from ..names import ALARM_CODE, TREND_FOLDER
 from ..series import Series, Trend
 
 TREND_HEADINGS = ("what", "last", "± 95 %", "unit", "least", "greatest", "first tenth", "last tenth", "change")
@@ -63,7 +63,7 @@ def what_happened(trend: Trend) -> list[str]:
     lines = [f"alarm {utc_text(row.time_ns)[:19]}Z: {row.text}" for row in alarms[-5:]]
     if len(alarms) > len(lines):
         lines.insert(0, f"{len(alarms)} alarms, the last {len(lines)}:")
-    if not alarms:
+    if not alarms and trend.path.name == TREND_FOLDER:  # an archive has none
         lines.append("no alarm")
     lost = {name: sum(r.value or 0.0 for r in trend.events if (r.kind, r.name) == ("gap", name))
             for kind, name in trend.counts if kind == "gap"}  # fmt: skip

@@ -6,12 +6,17 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import pyarrow
 import pytest
+from pyarrow import parquet
 
+from daq.batch.tables import schema
 from daq.commands.cli.app import main
 from daq.trend.days import DayWriter, Row
 from daq.trend.series import read_trend
@@ -19,6 +24,7 @@ from daq.trend.series import read_trend
 DOCS = Path(__file__).parents[3] / "docs"
 T0_NS, MINUTE_NS = 1_700_006_400 * 10**9, 60 * 10**9  # 2023-11-15, midnight
 MINUTES = 3 * 1440
+STARTED = datetime(2024, 3, 1, 12, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +87,40 @@ def test_what_is_wrong_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.
     assert "--since 7: give a number above 0 and a unit" in capsys.readouterr().err
     assert main(["trend", str(folder), "--since", "2030-01-01"]) == 2
     assert "the trend ends at 2023-11-17" in capsys.readouterr().err
+
+
+def results(folder: Path, machines: Sequence[str | None]) -> Path:
+    """Tables of `batch`: for each machine a record an hour, whose kL falls."""
+    folder.mkdir()
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in ("runs", "parameters", "verdicts", "severity")}
+    for machine in machines:
+        for hour in range(30):
+            of = {"log": "a.mcap", "rig": "r.toml", "machine": machine, "started": STARTED, "from_s": 3600.0 * hour}
+            rows["runs"].append(of | {"task": "fit", "status": "done"})
+            own = {"value": 1e7 - 1e5 * hour, "sd": 1e4, "unit": "N/m", "identifiable": True}
+            rows["parameters"].append(of | own | {"name": "bearing1.x.kL"})
+            rows["severity"].append(of | {"channel": "b1x", "unit": "m/s^2", "velocity_rms_mm_s": 3.0, "zone": "C"})
+            named = {"verdict": "cubic", "at": ["bearing1"], "p_archive": 1e-9, "stands": hour == 29}
+            rows["verdicts"].append(of | named | {"task": "diagnose"})
+            rows["verdicts"].append(of | {"task": "compare", "missing_force_percent": 2.0})
+    for name, own_rows in rows.items():
+        parquet.write_table(pyarrow.Table.from_pylist(own_rows, schema=schema(name)), folder / f"{name}.parquet")
+    return folder
+
+
+def test_results_of_an_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trend", str(results(tmp_path / "one", [None])), "--json", str(tmp_path / "t.json")]) == 0
+    assert re.search(r"bearing1.x.kL .*-27 %", out := capsys.readouterr().out)
+    assert "said: cubic\n" in out
+    value = json.loads((tmp_path / "t.json").read_text())
+    jsonschema.validate(value, json.loads((DOCS / "schemas" / "trend.json").read_text()))
+    assert value["from"] == "2024-03-01T12:00:00.000000Z"
+    assert value["to"] == "2024-03-02T17:00:00.000000Z"
+    assert {s["kind"] for s in value["series"]} == {"estimate", "severity", "missing_force"}
+    several = results(tmp_path / "two", ["press", "fan"])
+    assert main(["trend", str(several)]) == 2
+    assert "holds 2 machines (press, fan): say which with --machine" in capsys.readouterr().err
+    assert main(["trend", str(several), "--machine", "fan"]) == 0
 
 
 def test_recording(folder: Path, tmp_path: Path) -> None:
