@@ -52,10 +52,14 @@ def _here(count: int) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
+    options = {"n_workers": count, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with dask.config.set({"distributed.scheduler.allowed-failures": MAX_DEATHS}), uninterrupted_children():
-        cluster = LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=logging.CRITICAL
-        )
+        try:
+            cluster = LocalCluster(silence_logs=logging.CRITICAL, **options)
+        except (OSError, RuntimeError) as error:
+            fewer = f"local:{max(1, count // 2)}"
+            text = f"--scheduler local:{count}: the processes cannot be started: {error}; give fewer, such as {fewer}"
+            raise LinkError(text) from error
     client = Client(cluster, set_as_default=False)
     try:
         yield client

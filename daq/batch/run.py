@@ -21,6 +21,7 @@ TICK_S = 0.5  # between two looks at what is overdue
 STORE_S, STORE_SHARE, STORE_ROWS = 2.0, 0.01, 500  # what is done is stored so often, or after a share of the time
 MERGED_ROWS = 20_000  # what lies in pieces at most: a merge of more would need more memory
 IN_FLIGHT_PER_CORE, LEAST_IN_FLIGHT = 20, 50  # tasks that the scheduler holds: enough for its workers never to wait
+COUNT_S = 5.0  # between two counts of the workers
 RESTART_S = 20  # for a worker that is ended over a task
 DEAD_TEXT = "ended its worker each time, most likely for want of memory: give --window, or larger workers"
 
@@ -48,6 +49,7 @@ class Loop:
         self._begun: dict[str, tuple[float, str]] = {}  # key -> when, and at which worker
         self._rows: list[dict[str, Any]] = []
         self._stored_s = self._started_s = time.monotonic()
+        self._counted_s, self._most = -COUNT_S, LEAST_IN_FLIGHT
         self.total = self.done = self.failed = self._pending = 0
 
     def run(self, tasks: Iterable[Task]) -> None:
@@ -73,9 +75,10 @@ class Loop:
         self.total += len(new)
 
     def _submit(self) -> None:
-        cores = sum(self.client.nthreads().values()) if len(self._flying) < LEAST_IN_FLIGHT else 0
-        most = max(LEAST_IN_FLIGHT, IN_FLIGHT_PER_CORE * cores)
-        while self._todo and len(self._flying) < most:
+        if time.monotonic() > self._counted_s + COUNT_S:  # workers come and go
+            self._counted_s = time.monotonic()
+            self._most = max(LEAST_IN_FLIGHT, IN_FLIGHT_PER_CORE * sum(self.client.nthreads().values()))
+        while self._todo and len(self._flying) < self._most:
             task = self._todo.popleft()
             if task.log.rig.problem:
                 self._keep(answer(task), task)
@@ -86,23 +89,35 @@ class Loop:
 
     def _take(self) -> None:
         """Rows of tasks that have come to an end, after waiting a moment for the first one."""
+        ended: dict[Any, Task] = {}
         wait = TICK_S if self._flying else 0.0
         while self._flying:
             try:
                 future = self._finished.get(timeout=wait)
             except Empty:
-                self._look_for_scheduler()
                 break
             wait = 0.0
-            task = self._flying.pop(future, None)
-            if task is not None:
-                self._keep(self._row(task, future), task)
+            if (task := self._flying.pop(future, None)) is not None:
+                self._begun.pop(task.key, None)
+                ended[future] = task
+        self._look_for_scheduler()
+        whole = [future for future in ended if future.status == "finished"]
+        for future, row in zip(whole, self._gathered(whole), strict=True):  # in one question: each takes its time
+            self._keep(row, ended.pop(future))
+        for future, task in ended.items():
+            self._keep(self._lost(task, future), task)
         self._tell()
 
-    def _row(self, task: Task, future: Any) -> dict[str, Any]:
-        if future.status == "finished":
-            row: dict[str, Any] = future.result()
-            return row
+    def _gathered(self, futures: list[Any]) -> list[dict[str, Any]]:
+        from concurrent.futures import CancelledError
+
+        try:
+            return list(self.client.gather(futures)) if futures else []
+        except CancelledError as error:
+            raise self._gone() from error
+
+    def _lost(self, task: Task, future: Any) -> dict[str, Any]:
+        """The row of a task that has no result. Raises LinkError if the scheduler is gone."""
         if future.status in ("cancelled", "lost"):
             raise self._gone()
         from distributed.scheduler import KilledWorker

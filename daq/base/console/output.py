@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
@@ -31,6 +32,7 @@ CONTROL_CHARACTERS = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *rang
 READER_GONE_ERRNOS = (errno.EPIPE, errno.EIO)
 
 
+@cache
 def version() -> str:
     """Version of the package that is installed."""
     try:

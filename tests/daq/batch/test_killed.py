@@ -25,7 +25,7 @@ RIG = ROOT / "tests" / "data" / "one_cap.toml"
 TABLES = ("runs", "parameters", "verdicts", "severity")
 LOGS = 16
 ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 
 def started(*arguments: str, folder: Path) -> subprocess.Popen[str]:
@@ -43,7 +43,7 @@ def batch(
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    said, _ = process.communicate(timeout=PATIENCE_S)
+    said, _ = process.communicate(timeout=5 * PATIENCE_S)  # a minute's work, on a machine that others use
     return process.returncode, said
 
 
