@@ -7,7 +7,6 @@ below).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,22 +55,6 @@ def lumped_shaft(positions: Array, bending_stiffness: float, slopes: str = "free
     if slopes == "held":
         return K[:n, :n]
     return K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
-
-
-def lumped_rotor(
-    positions: Array, bending_stiffness: float, masses: Array, supports: Mapping[int, tuple[float, float]]
-) -> tuple[Array, Array, Array]:
-    """M, C, K (n, n) of lumped masses on a free-free shaft carried by bearings, one transverse direction.
-
-    positions, masses : (n,) m and kg. supports : node number -> (kL, c) of its bearing. With `modes`, `eliminate` and
-    `linear_covariance` this is the rotor of any number of discs.
-    """
-    n = len(masses)
-    M, C, K = np.diag(np.asarray(masses, dtype=float)), np.zeros((n, n)), lumped_shaft(positions, bending_stiffness)
-    for node, (stiffness, damping) in supports.items():
-        K[node, node] += stiffness
-        C[node, node] += damping
-    return M, C, K
 
 
 def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array | Complex) -> Complex:

@@ -1,8 +1,7 @@
 """The stationary density exp(-H/T), and tests whether a record obeys it.
 
 With H = kinetic energy + V and force noise Q = 2 T C, velocities are Gaussian for any V, uncorrelated with each other
-and with every displacement, m v^2 is shared equally, and no probability circulates: <x v_y - y v_x> = 0. Each statistic
-is given with its sampling error for correlated samples. The tests are necessary, not sufficient: 1 % of undriven
+and with every displacement, and m v^2 is shared equally. Each statistic is given with its sampling error for correlated samples. The tests are necessary, not sufficient: 1 % of undriven
 damping at the disc does not show in any of them.
 """
 
@@ -21,45 +20,6 @@ from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
 
 DIAGNOSTIC_BLOCKS = 64  # of a record, for the sampling error
-
-
-@dataclass(frozen=True, slots=True)
-class Density:
-    """The stationary density p(x) = c exp(-V/T) of the caps of one direction.
-
-    plane : the caps and the shaft of the direction.
-    stiffness : per cap, power of x -> coefficient, N/m, N/m^3, ...
-    temperature : J.
-    """
-
-    plane: Plane
-    stiffness: tuple[Mapping[int, float], ...]
-    temperature: float
-
-    def potential(self, x: Array) -> Array:
-        """Effective potential (n,), J, at x (n, caps), m: bearings, and the shaft with the disc integrated out."""
-        plane = self.plane
-        energy = 0.5 * plane.ks * plane.a * np.sum(x**2, axis=-1)
-        if x.shape[-1] == 2:
-            energy = energy + plane.ks * plane.b * x[..., 0] * x[..., 1]
-        for i, terms in enumerate(self.stiffness):
-            for power, k in terms.items():
-                energy = energy + k * x[..., i] ** (power + 1) / (power + 1)
-        return np.asarray(energy)
-
-    def on_grid(self, axes: tuple[Array, ...]) -> Array:
-        """Density on a uniform grid, 1/m per cap, normalised to 1 over it. axes : one per cap, m."""
-        mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        energy = self.potential(mesh) / self.temperature
-        p = np.exp(-(energy - energy.min()))
-        return np.asarray(p / (p.sum() * np.prod([a[1] - a[0] for a in axes])))
-
-    def require_stationary(self) -> None:
-        """Raise DataError if a softening cubic lets the cap escape: barrier U = kL^2/(4 |kNL|) under 20 T."""
-        for cap, terms in zip(self.plane.caps, self.stiffness, strict=True):
-            kL, kNL = terms[1], terms.get(3, 0.0)
-            if kNL < 0.0 and 5 not in terms and barrier(kL, kNL, self.temperature) < 20.0:
-                raise DataError(_softening_text(cap.place, kL, kNL, self.temperature))
 
 
 def barrier(kL: float, kNL: float, temperature: float) -> float:
@@ -190,15 +150,6 @@ def _equipartition(one: Cap, two: Cap, v: Array) -> Diagnostic:
         1.0,
         "noise-to-damping ratios differ between the caps (or a mass or gain is wrong)",
     )
-
-
-def circulation(node: str, x: Array, y: Array, vx: Array, vy: Array) -> Diagnostic:
-    """<x v_y - y v_x> over the rms of x times that of v, each (n,): 0 unless a force circulates (whirl)."""
-    rows = np.stack([x * vy - y * vx, x**2 + y**2, vx**2 + vy**2], axis=1)
-    scale = np.array([np.sqrt(np.mean(rows[:, 1]) * np.mean(rows[:, 2])), np.mean(rows[:, 1]), np.mean(rows[:, 2])])
-    meaning = "the orbit circulates: a cross-coupled (follower) force or a rotating one"
-    name = f"{node}: circulation"
-    return _statistic(rows / scale, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
 def density_messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[Message]:

@@ -161,30 +161,16 @@ def anchor_at(
     none = np.zeros(point.data.x.shape[1], bool)
     bare = point.data.at(none)
     return Anchor(
-        data=bare,
-        kL=kL,
-        c=c,
-        S=S,
-        nu=nu,
-        placed=tuple(placed),
-        watched=tuple(watched),
-        names=tuple(t.name for t in own) + names,
-        units=tuple(t.unit for t in own) + units,
-        own=len(own),
+        data=bare, kL=kL, c=c, S=S, nu=nu, placed=tuple(placed), watched=tuple(watched),
+        names=tuple(t.name for t in own) + names, units=tuple(t.unit for t in own) + units, own=len(own),
         scales=np.concatenate([[t.scale for t in own], scales]),
-        whitening=Whitening(data=bare, noise=whitening.noise, s=whitening.s, measured=whitening.measured),
-        nodes=nodes,
-        first=first,
-        phase_weight=np.add.reduceat(line_weights(whitening.s).imag, first),
-        A=point.jacobian.A0[nodes],
-        s=whitening.s[nodes],
-        second_order=point.jacobian.second_order[nodes],
+        whitening=Whitening(data=bare, noise=whitening.noise, s=whitening.s, measured=whitening.measured), nodes=nodes,
+        first=first, phase_weight=np.add.reduceat(line_weights(whitening.s).imag, first), A=point.jacobian.A0[nodes],
+        s=whitening.s[nodes], second_order=point.jacobian.second_order[nodes],
         responses=np.concatenate([point.whitened.tangents[..., nodes], more]),
-        tangents=np.concatenate([[t.tangent * t.scale for t in own], tangents]),
-        prior=point.prior_information,
-        mean_tangent=point.mean_tangent,
-        cells=cells,
-    )
+        tangents=np.concatenate([[t.tangent * t.scale for t in own], tangents]), prior=point.prior_information,
+        mean_tangent=point.mean_tangent, cells=cells,
+    )  # fmt: skip
 
 
 def _candidate_regressors(point: WorkingPoint, watched: Sequence[LocatedLaw]) -> list[Regressor]:

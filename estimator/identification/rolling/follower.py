@@ -10,13 +10,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.likelihood.path.path_fit import (
-    Gram,
-    PathFit,
-    fit_increments,
-    information_inverse,
-    slope_and_curvature,
-)
+from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, information_inverse, slope_and_curvature
 from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at

@@ -37,13 +37,13 @@ class Memory:
     """
 
     keep: float
-    gram: Array = field(default_factory=lambda: np.zeros(0))
-    tangents: Array = field(default_factory=lambda: np.zeros(0))
-    mean_tangent: Array = field(default_factory=lambda: np.zeros(0))
-    kept: Array = field(default_factory=lambda: np.zeros(0))
-    level: Array = field(default_factory=lambda: np.zeros(0))
-    level2: Array = field(default_factory=lambda: np.zeros(0))
-    spread: Array = field(default_factory=lambda: np.zeros(0))
+    gram: Array = field(default_factory=lambda: np.zeros(()))
+    tangents: Array = field(default_factory=lambda: np.zeros(()))
+    mean_tangent: Array = field(default_factory=lambda: np.zeros(()))
+    kept: Array = field(default_factory=lambda: np.zeros(()))
+    level: Array = field(default_factory=lambda: np.zeros(()))
+    level2: Array = field(default_factory=lambda: np.zeros(()))
+    spread: Array = field(default_factory=lambda: np.zeros(()))
     n: float = 0.0
     n2: float = 0.0
     pieces2: float = 0.0
@@ -59,17 +59,15 @@ class Memory:
 
     def add(self, piece: Piece, score: Array | None) -> None:
         """Add a piece. score : (k,) slope of its log-likelihood at the estimate; None: not known yet."""
-        empty, B = self.n == 0.0, piece.blocks
-        self.gram = piece.gram + (0.0 if empty else self.gram)
-        self.tangents = B * piece.tangents + (0.0 if empty else self.tangents)
-        self.mean_tangent = B * piece.mean_tangent + (0.0 if empty else self.mean_tangent)
-        self.kept = B * piece.kept + (0.0 if empty else self.kept)
-        self.level = B * piece.level + (0.0 if empty else self.level)
-        self.level2 = B * piece.level**2 + (0.0 if empty else self.level2)
+        B = piece.blocks
+        self.gram = self.gram + piece.gram
+        for name in ("tangents", "mean_tangent", "kept", "level"):
+            setattr(self, name, getattr(self, name) + B * getattr(piece, name))
+        self.level2 = self.level2 + B * piece.level**2
         self.n += B
         self.n2 += B
         if score is not None:
-            self.spread = np.multiply.outer(score, score) + (0.0 if self.pieces2 == 0.0 else self.spread)
+            self.spread = self.spread + np.multiply.outer(score, score)
             self.pieces2 += 1.0
             self.pieces4 += 1.0
 
@@ -82,7 +80,7 @@ class Memory:
         M[0, 1:] = delta
         self.gram = M @ self.gram @ M.T
         self.tangents = self.tangents * ratio[:, None, None, None]
-        if self.spread.size:
+        if self.spread.ndim:
             self.spread = self.spread * np.multiply.outer(ratio, ratio)
 
     def reweighted(self, weight: Array, level: Array) -> None:

@@ -108,20 +108,9 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) 
     noise_psd = data.noise_shape * (point.nu * point.S)[:, None]
     across = np.sum(np.abs(point.A[:, i]) ** 2 * noise_psd.T, axis=1, where=others)
     return PathSpectra(
-        w=ww.real,
-        n=INDEPENDENT_PER_BIN * width * len(R),
-        rr=rr.real,
-        ra=ra,
-        aa=aa.real,
-        rf=rf,
-        af=af,
-        ff=ff.real,
-        A=A,
-        H=H,
-        noise=mean(shape).real,
-        hz=spacing * width,
-        across=mean(across).real,
-    )
+        w=ww.real, n=INDEPENDENT_PER_BIN * width * len(R), rr=rr.real, ra=ra, aa=aa.real, rf=rf, af=af, ff=ff.real, A=A,
+        H=H, noise=mean(shape).real, hz=spacing * width, across=mean(across).real,
+    )  # fmt: skip
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:

@@ -220,11 +220,7 @@ def _orbit(at: Array) -> Array:
 
 
 def law_force(
-    effect: Effect,
-    p: Array,
-    state: LawStates,
-    reads: NDArray[np.bool_],
-    series: tuple[Series, Series] | None = None,
+    effect: Effect, p: Array, state: LawStates, reads: NDArray[np.bool_], series: tuple[Series, Series] | None = None
 ) -> tuple[Array, Array]:
     """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
 

@@ -170,11 +170,7 @@ def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
     if model.background is not None:
         np.einsum("fii->fi", shaft)[...] += model.background.attached_stiffness(places, 2j * np.pi * f_hz)
         shapes = shapes * model.background.force_shapes(places, f_hz)
-    return {
-        "shaft": shaft,
-        "excitation_shape": shapes,
-        "undone_noise_gain": undone_noise_gain(model, places, f_hz),
-    }
+    return {"shaft": shaft, "excitation_shape": shapes, "undone_noise_gain": undone_noise_gain(model, places, f_hz)}
 
 
 def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:

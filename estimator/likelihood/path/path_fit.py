@@ -16,7 +16,7 @@ force to motion. A regressor may act at several places with one parameter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,17 +72,10 @@ class Gram:
         at = [self.names.index(k) for k in names]
         rows = np.array([0] + [1 + k for k in at])
         apart = None if self.apart is None else self.apart[at]
-        return Gram(
-            G=self.G[:, :, rows[:, None], rows],
-            n=self.n,
-            log_weight=self.log_weight,
-            tangents=self.tangents[at],
-            scales=self.scales[at],
-            names=tuple(names),
-            units=tuple(self.units[k] for k in at),
-            apart=apart,
-            s=self.s,
-        )
+        return replace(
+            self, G=self.G[:, :, rows[:, None], rows], tangents=self.tangents[at], scales=self.scales[at],
+            names=tuple(names), units=tuple(self.units[k] for k in at), apart=apart,
+        )  # fmt: skip
 
     def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
         """The Gram matrices with the last q regressors replaced by sums of them. weights : (names, q), scaled units."""
@@ -93,17 +86,8 @@ class Gram:
         scales = np.concatenate([self.scales[:first], np.ones(len(names))])
         units = self.units[:first] + ("1",) * len(names)
         apart = None if self.apart is None else np.tensordot(block_diag(np.eye(first), weights), self.apart, 1)
-        return Gram(
-            G=G,
-            n=self.n,
-            log_weight=self.log_weight,
-            tangents=tangents,
-            scales=scales,
-            names=self.names[:first] + names,
-            units=units,
-            apart=apart,
-            s=self.s,
-        )
+        names = self.names[:first] + names
+        return replace(self, G=G, tangents=tangents, scales=scales, names=names, units=units, apart=apart)
 
 
 def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: WhitenedRegressors) -> Gram:
@@ -138,16 +122,11 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: W
 
     map_threads(at_place, range(P))
     return Gram(
-        G=G,
-        n=n,
-        log_weight=log_weight,
-        tangents=np.concatenate([c.tangents for c in whitened]),
-        scales=np.concatenate([c.scales for c in whitened]),
-        names=tuple(k for c in whitened for k in c.names),
-        units=tuple(u for c in whitened for u in c.units),
-        apart=np.concatenate([c.apart for c in whitened]),
+        G=G, n=n, log_weight=log_weight, tangents=np.concatenate([c.tangents for c in whitened]),
+        scales=np.concatenate([c.scales for c in whitened]), names=tuple(k for c in whitened for k in c.names),
+        units=tuple(u for c in whitened for u in c.units), apart=np.concatenate([c.apart for c in whitened]),
         s=whitening.s,
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

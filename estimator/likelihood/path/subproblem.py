@@ -103,26 +103,15 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     tangents = point.jacobian.tangents(tangents, at)
     new = () if extra is None else extra.names
     merged = Gram(
-        G=G,
-        n=point.gram.n[at],
-        log_weight=point.gram.log_weight[at],
-        tangents=tangents,
-        scales=scales,
-        names=names + new,
-        units=units + (() if extra is None else extra.units),
-        apart=_among(apart, at),
+        G=G, n=point.gram.n[at], log_weight=point.gram.log_weight[at], tangents=tangents, scales=scales,
+        names=names + new, units=units + (() if extra is None else extra.units), apart=_among(apart, at),
         s=point.whitening.s,
-    )
+    )  # fmt: skip
     inside = tuple(int(i) for i in at)
     return Subproblem(
-        places=inside,
-        gram=merged,
-        jacobian=point.jacobian.of_places(at),
-        blocks=point.data.fold_blocks,
-        base=names,
-        extra=new,
-        prior_information=point.prior_information[base],
-    )
+        places=inside, gram=merged, jacobian=point.jacobian.of_places(at), blocks=point.data.fold_blocks, base=names,
+        extra=new, prior_information=point.prior_information[base],
+    )  # fmt: skip
 
 
 def with_extra(
@@ -141,16 +130,11 @@ def with_extra(
     for f, one in enumerate(made):
         fill_products(G[plain.places.index(i), f], np.arange(first, size), *one)
     joined = Gram(
-        G=G,
-        n=old.n,
-        log_weight=old.log_weight,
+        G=G, n=old.n, log_weight=old.log_weight,
         tangents=np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
-        scales=np.concatenate([old.scales, scales]),
-        names=old.names + names,
-        units=old.units + ("N",) * len(names),
-        apart=np.concatenate([old.apart, _among(apart, at)]),
-        s=old.s,
-    )
+        scales=np.concatenate([old.scales, scales]), names=old.names + names, units=old.units + ("N",) * len(names),
+        apart=np.concatenate([old.apart, _among(apart, at)]), s=old.s,
+    )  # fmt: skip
     return replace(plain, gram=joined, extra=names)
 
 

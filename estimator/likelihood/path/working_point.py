@@ -212,27 +212,11 @@ def point_at(
     own_regressors = tuple(in_single_precision(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
-        data=data,
-        kL=kL,
-        c=c,
-        S=_whole_power(data, result, common),
-        nu=nu,
-        placed=tuple(uses),
-        force=F,
-        whitening=whitening,
-        spectra=spectra,
-        regressors=own_regressors,
-        whitened=whitened,
-        gram=G,
-        jacobian=jacobian,
-        fit=result,
-        prior_information=prior,
-        A=A,
-        mean_tangent=D,
-        fluctuations=coarse,
-        spans=Spans(own_regressors),
+        data=data, kL=kL, c=c, S=_whole_power(data, result, common), nu=nu, placed=tuple(uses), force=F,
+        whitening=whitening, spectra=spectra, regressors=own_regressors, whitened=whitened, gram=G, jacobian=jacobian,
+        fit=result, prior_information=prior, A=A, mean_tangent=D, fluctuations=coarse, spans=Spans(own_regressors),
         units=UnitRegressors(),
-    )
+    )  # fmt: skip
 
 
 def _determinant(whitening: Whitening, A: Complexes, correction: Complexes) -> Jacobian:

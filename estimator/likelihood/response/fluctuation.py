@@ -76,14 +76,9 @@ class Fluctuation:
         g = np.ascontiguousarray(self.g[:, ::by])
         total = np.ascontiguousarray(self.total[:, ::by])
         return Fluctuation(
-            data=data,
-            place=self.place,
-            total=total,
-            K=_spectra(total, data, g.shape[1]),
-            g=g,
-            whole=self.whole,
+            data=data, place=self.place, total=total, K=_spectra(total, data, g.shape[1]), g=g, whole=self.whole,
             only=self.only,
-        )
+        )  # fmt: skip
 
 
 def _spectra(tangents: NDArray[np.floating], data: MotionRecord, lags: int) -> TangentSpectra:
@@ -91,10 +86,7 @@ def _spectra(tangents: NDArray[np.floating], data: MotionRecord, lags: int) -> T
 
 
 def fluctuations(
-    data: MotionRecord,
-    uses: Sequence[LocatedLaw],
-    mean: Sequence[ModalResponse],
-    lin: Array,
+    data: MotionRecord, uses: Sequence[LocatedLaw], mean: Sequence[ModalResponse], lin: Array
 ) -> tuple[Fluctuation | None, ...]:
     """Fluctuation at every place; None without a law, or where the laws are too strong for the second order.
 

@@ -111,11 +111,6 @@ def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
     return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
 
 
-def single_mass_response(m: float, c: float, k: float) -> ModalResponse:
-    """Response of a single mass m, kg, on a spring k, N/m, and a damper c, N s/m."""
-    return modal_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
-
-
 def modal_responses(
     mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
 ) -> tuple[ModalResponse, ...]:

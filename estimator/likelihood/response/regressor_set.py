@@ -92,7 +92,7 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
                     scale=1.0 / rms,
                     memory=memory,
                     apart=slopes - mean,
-                )
+                )  # fmt: skip
             )
         )
     return out
@@ -313,7 +313,7 @@ def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[Loc
                 tangent=slope,
                 scale=1.0 / rms,
                 memory=memory,
-            )
+            )  # fmt: skip
         )
     if (a := data.free_inertia.get(i)) is not None:
         scale = 1.0 / max(float(data.rms[2, i]), 1e-300)

@@ -13,9 +13,7 @@ from estimator.model.rotor import (
     assemble,
     between_caps,
     dynamic_stiffness,
-    eliminate,
     linear_covariance,
-    lumped_rotor,
     lumped_shaft,
     modes,
     propagator,
@@ -85,24 +83,6 @@ def test_free_shaft_of_many_discs_costs_nothing_rigidly_and_bends_as_a_simple_be
     inner = np.linalg.inv(K[1:4, 1:4])
     for i, a in enumerate(z[1:4]):
         assert inner[i, i] == pytest.approx(a**2 * (0.6 - a) ** 2 / (3 * EI * 0.6))
-
-
-def test_many_discs_come_to_the_uniform_beam() -> None:
-    """41 lumps on stiff bearings: (n pi / L)^2 sqrt(EI / m'), Euler-Bernoulli, simply supported."""
-    n, span, EI, per_metre = 41, 0.6, 90.0, 1.2
-    masses = np.full(n, per_metre * span / (n - 1))
-    masses[[0, -1]] *= 0.5
-    M, C, K = lumped_rotor(np.linspace(0, span, n), EI, masses, {0: (1e10, 10.0), n - 1: (1e10, 10.0)})
-    found = np.sqrt(eigh(K, M, eigvals_only=True)[:4])
-    assert found == pytest.approx((np.arange(1, 5) * np.pi / span) ** 2 * np.sqrt(EI / per_metre), rel=1e-3)
-    assert np.count_nonzero(C) == 2
-    w = np.array([50.0, 700.0])
-    caps, discs = eliminate(dynamic_stiffness(M, C, K, w), [0, n - 1])
-    assert caps.shape == (2, 2, 2)
-    assert discs.shape == (2, n - 2, 2)
-    assert np.linalg.inv(caps) == pytest.approx(
-        np.linalg.inv(dynamic_stiffness(M, C, K, w))[:, [0, n - 1]][:, :, [0, n - 1]], rel=1e-6
-    )
 
 
 @pytest.mark.parametrize(("shaft", "factor"), [("chain", 2.0), ("beam", 4.0)])
