@@ -1,8 +1,8 @@
 """The stationary density exp(-H/T), and tests whether a record obeys it.
 
 With H = kinetic energy + V and force noise Q = 2 T C, velocities are Gaussian for any V, uncorrelated with each other
-and with every displacement, and m v^2 is shared equally. Each statistic is given with its sampling error for correlated samples. The tests are necessary, not sufficient: 1 % of undriven
-damping at the disc does not show in any of them.
+and with every displacement, and m v^2 is shared equally. Each statistic is given with its sampling error for correlated
+samples. The tests are necessary, not sufficient: 1 % of undriven damping at the disc does not show in any of them.
 """
 
 from __future__ import annotations
