@@ -76,6 +76,11 @@ class LogWriter:
         return self._file.path
 
     @property
+    def faulty(self) -> bool:
+        """Whether the disk does not take what is written; it is tried again."""
+        return bool(self._problem)
+
+    @property
     def size_bytes(self) -> int:
         """Of the file so far, what waits for the disk included; samples of the last 0.4 s are not in it yet."""
         return self._file.tell()

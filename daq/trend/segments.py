@@ -196,7 +196,7 @@ class SegmentedLog:
         """A segment has ended before the first row of a block."""
         if not self._wanted(state, block.index):
             self._end_part()
-        elif len(self._closing) >= MAX_CLOSING or not self._open(state, block):
+        elif part.writer.faulty or len(self._closing) >= MAX_CLOSING or not self._open(state, block):
             part.end = block.index + round(RETRY_S * state.info.rate_hz)  # it goes on; a new one is tried again then
 
     def _period(self, state: _State) -> tuple[int, int]:

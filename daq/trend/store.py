@@ -50,7 +50,7 @@ class TrendStore:
         self._stop = self._now_ns = 0
         self._due_ns: int | None = None
         self._estimate: Estimate | None = None
-        self._layers: deque[Json] = deque(maxlen=1000)
+        self._layers: deque[tuple[int, Json]] = deque(maxlen=1000)
         self._lost: Counter[str] = Counter()
         self._rows: list[Row] = []
         self._limits: MachineClass | None = None  # not told yet
@@ -74,11 +74,14 @@ class TrendStore:
                 )
 
     def estimate(self, estimate: Estimate) -> None:
-        self._estimate = estimate
+        """The last one of each minute, by its own time: in a fast replay many come at once."""
+        before, self._estimate = self._estimate, estimate
+        if before is not None and self._time_ns(before) // self._every_ns != self._time_ns(estimate) // self._every_ns:
+            self._rows += estimate_rows(before, self._time_ns(before))
 
     def layers(self, stop: int, seen: Json) -> None:
         """What the layers of a diagnosis say of the samples before `stop`; called from any thread."""
-        self._layers.append(seen)
+        self._layers.append((stop, seen))
 
     def alarm(self, state: AlarmState) -> None:
         """An alarm begins or is over."""
@@ -96,11 +99,20 @@ class TrendStore:
         return SinkHealth(0.0, 0, tuple(out))
 
     def close(self) -> None:
+        if self._estimate is not None:
+            self._rows += estimate_rows(self._estimate, self._time_ns(self._estimate))
         self._collect()
         self._chores.put(self._end)
         self._chores.close(CLOSE_S if self._live else None)
 
     # -- the rest is private ----------------------------------------------------------------------------------------
+
+    def _of_index(self, index: int) -> int:
+        """Unix time of a sample."""
+        return max(0, self._now_ns - round((self._stop - 1 - index) * 1e9 / self._rate_hz))
+
+    def _time_ns(self, estimate: Estimate) -> int:
+        return self._of_index(estimate.index)
 
     def _host_ns(self, t_host_ns: int) -> int:
         return max(0, t_host_ns + (self._clock.wall_offset_ns() if self._offset_ns is None else self._offset_ns))
@@ -118,14 +130,13 @@ class TrendStore:
         rows, self._rows = self._rows, []
         rows += zone_rows(self._limits, self._now_ns)
         self._limits = None
-        if self._estimate is not None:
-            behind_ns = round((self._stop - 1 - self._estimate.index) * 1e9 / self._rate_hz)
-            rows += estimate_rows(self._estimate, self._now_ns - behind_ns)
-            self._estimate = None
-        seen = []
+        minutes: dict[int, list[tuple[int, Json]]] = {}
         while self._layers:
-            seen.append(self._layers.popleft())
-        rows += layer_rows(seen, self._now_ns)
+            stop, seen = self._layers.popleft()
+            time_ns = self._of_index(stop - 1)
+            minutes.setdefault(time_ns // self._every_ns, []).append((time_ns, seen))
+        for own in minutes.values():
+            rows += layer_rows([seen for _, seen in own], own[-1][0])
         rows += [Row(self._now_ns, "gap", reason, float(n), unit="samples") for reason, n in self._lost.items() if n]
         self._lost.clear()
         if rows and not self._chores.put(partial(self._append, rows)):

@@ -132,11 +132,12 @@ class AlarmWatch:
             own = replace(self.states[key], state=rule.state, value=value.value, sd=value.sd, unit=value.unit)
             self.states[key] = own
             if said is not None:
-                self._say(key, before, said)
+                self._say(key, before, said, value.time_s)
 
-    def _say(self, key: str, before: State, said: str) -> None:
+    def _say(self, key: str, before: State, said: str, time_s: float) -> None:
         now = self.states[key]
-        state = replace(now, since_ns=self._now_ns, text=f"{now.what}: {said}")
+        since_ns = self._now_ns - round((self._stop / self._rate_hz - time_s) * 1e9)
+        state = replace(now, since_ns=max(1, since_ns), text=f"{now.what}: {said}")
         self.states[key] = state
         if state.state == "alarm":
             self.raised.append(state)
