@@ -131,6 +131,8 @@ class ChangeRule:
             said = self._mean(Value(value.time_s, mean, sd=sd, unit=value.unit))
             self._total = self._sd_total = 0.0
             self._count = self._sd_count = 0
+        if self._test is not None and self._slot is not None and slot - self._slot not in (0, 1):
+            self._test.interrupted()
         self._slot = slot
         self._total, self._count = self._total + value.value, self._count + 1
         if value.sd:

@@ -54,6 +54,11 @@ class Baseline:
         """Shift of the errors in the long run over a shift of the mean."""
         return (1.0 - self.phi) / (1.0 - self.theta)
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation of a value over that of its prediction error."""
+        return sqrt(1.0 + (self.phi - self.theta) ** 2 / (1.0 - self.phi**2))
+
     def to_json(self) -> dict[str, Any]:
         """Its numbers by name."""
         return asdict(self)
@@ -170,14 +175,18 @@ class Cusum:
         self.threshold = threshold(
             round(self.reference, 3), baseline.values, round(baseline.phi, 4), round(baseline.theta, 4), 2.0 * per
         )
-        self._value = self._error = 0.0
+        self._value: float | None = None
+        self._error = 0.0
         self.up = self.down = 0.0
 
     def update(self, value: float, sd: float | None = None) -> int:
         """Take a value. +1 or -1: the mean is above or below the baseline; 0: nothing to say."""
         b = self.baseline
         own = value - b.mean
-        self._error = own - b.phi * self._value + b.theta * self._error
+        if self._value is None:  # nothing predicts it
+            self._error = own / b.spread
+        else:
+            self._error = own - b.phi * self._value + b.theta * self._error
         self._value = own
         error = self._error / b.sd
         if sd is not None and b.typical_sd > 0:  # less certain than when it was learned: it counts less
@@ -189,6 +198,10 @@ class Cusum:
     def reset(self) -> None:
         """Begin again, after an alarm."""
         self.up = self.down = 0.0
+
+    def interrupted(self) -> None:
+        """The next value does not follow the last one: there was a gap."""
+        self._value = None
 
     def delay(self, change: float) -> float:
         """Values until a change of the mean is an alarm, if the noise adds nothing; on average, if it never is then."""

@@ -46,6 +46,17 @@ def test_white_noise_is_white_and_a_drift_is_found() -> None:
     assert not baseline_is_sure(learn(drifting(1440, 3)))  # a day of it says too little
 
 
+def test_a_value_after_a_gap_is_no_alarm_because_it_drifted_meanwhile() -> None:
+    baseline = Baseline(mean=0.0, sd=1.0, phi=0.99, theta=0.0, values=100_000)
+    test = Cusum(baseline, 100.0, 43_200.0)
+    drifted = 2.0 * baseline.spread
+    assert [test.update(v) for v in (0.0, drifted)] == [0, 1]
+    test = Cusum(baseline, 100.0, 43_200.0)
+    test.update(0.0)
+    test.interrupted()
+    assert test.update(drifted) == 0
+
+
 def test_a_change_is_seen_with_its_sign_and_a_less_certain_value_counts_less() -> None:
     baseline = Baseline(mean=100.0, sd=1.0, phi=0.0, theta=0.0, values=1440, typical_sd=1.0)
     rng = np.random.default_rng(4)
