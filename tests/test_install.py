@@ -8,12 +8,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from daq.commands.check import overwritten
 from daq.commands.cli.app import main
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+LOCKED = ("formats", "report", "monitor", "batch", "dev", "docs")  # extras that CI installs
 RIG = str(ROOT / "configs" / "one_bearing.toml")
 
 
@@ -33,6 +35,20 @@ def test_the_core_keeps_its_packages_and_all_has_every_extra() -> None:
     assert fixed <= names(PROJECT["project"]["dependencies"])
     assert extras["all"] == ["rotorscope[formats,report,monitor,batch]"]
     assert "rotorscope[all]" in extras["dev"]
+
+
+def test_ci_has_an_exact_version_of_every_package_and_no_place_where_to_get_it() -> None:
+    lines = (ROOT / ".ci" / "constraints.txt").read_text("utf-8").splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+    assert all(re.fullmatch(r"[\w.-]+==[\w.+!]+", pin) for pin in pins)
+    pinned = {re.sub(r"[-_.]+", "-", pin.split("==")[0].lower()): pin.split("==")[1] for pin in pins}
+    extras = PROJECT["project"]["optional-dependencies"]
+    asked = [*PROJECT["project"]["dependencies"], *(t for name, own in extras.items() if name in LOCKED for t in own)]
+    for text in asked:
+        requirement = Requirement(text)
+        name = re.sub(r"[-_.]+", "-", requirement.name.lower())
+        assert name == "rotorscope" or requirement.specifier.contains(pinned[name]), text
+    assert 'PIP_CONSTRAINT="$PWD/.ci/constraints.txt"' in (ROOT / ".ci" / "run").read_text("utf-8")
 
 
 def test_the_wheel_names_files_that_are_there() -> None:

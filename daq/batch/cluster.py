@@ -52,7 +52,7 @@ def _here(count: int) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    options = {"n_workers": count, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    options = {"n_workers": count, "threads_per_worker": 1, "processes": True, "dashboard_address": "127.0.0.1:0"}
     with dask.config.set({"distributed.scheduler.allowed-failures": MAX_DEATHS}), uninterrupted_children():
         try:
             cluster = LocalCluster(silence_logs=logging.CRITICAL, **options)
