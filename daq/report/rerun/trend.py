@@ -13,6 +13,7 @@ from .layout import part
 
 Json = Mapping[str, Any]
 TIME_LINE = "utc"
+GAP_RATIO = 3.0  # of the usual step: beyond it values are missing
 COLOURS_RGB = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
 LEVEL_OF_KIND = {"alarm_raised": "ERROR", "alarm_over": "INFO", "gap": "WARN", "notice": "WARN"}
 
@@ -27,13 +28,18 @@ def log_trend(target: str, title: str, charts: Sequence[Json], events: Sequence[
     rr.set_log_time_enabled(False, recording=recording)
     rr.set_log_tick_enabled(False, recording=recording)
     recording.send_recording_name(title)
+    times = [t for chart in charts for line in chart["lines"] for t in (line["time_ns"][0], line["time_ns"][-1])]
+    ends = [rrb.TimeRangeBoundary.absolute(nanos=f(times)) for f in (min, max)] if times else []
+    whole = rrb.TimeAxis(view_range=rrb.TimeRange(start=ends[0], end=ends[1])) if ends else None
     views: dict[str, list[Any]] = {}
     for number, chart in enumerate(charts):
         entity = f"{part(chart['section'])}/{number:02d}_{part(chart['title'])}"
         for k, line in enumerate(chart["lines"]):
             _line(recording, f"{entity}/{part(line['name'])}", line, COLOURS_RGB[k % len(COLOURS_RGB)])
         unit = f" [{chart['unit']}]" if chart["unit"] else ""
-        view = rrb.TimeSeriesView(origin=entity, name=chart["title"] + unit, plot_legend=rrb.PlotLegend(visible=True))
+        view = rrb.TimeSeriesView(
+            origin=entity, name=chart["title"] + unit, plot_legend=rrb.Corner2D.LeftTop, axis_x=whole
+        )  # fmt: skip
         views.setdefault(chart["section"], []).append(view)
     for event in events:
         recording.set_time(TIME_LINE, timestamp=np.datetime64(round(event["time_ms"] * 1e6), "ns"))
@@ -50,7 +56,11 @@ def _line(recording: Any, entity: str, line: Json, colour: tuple[int, int, int])
     """Value and, behind it, the edges of its 95 % interval."""
     import rerun as rr
 
-    times = rr.TimeColumn(TIME_LINE, timestamp=np.array(line["time_ns"], "datetime64[ns]"))
+    at_ns = np.array(line["time_ns"], np.int64)
+    steps = np.diff(at_ns)
+    holes = np.flatnonzero(steps > GAP_RATIO * np.median(steps)) + 1 if len(steps) else np.zeros(0, int)
+    between = np.insert(at_ns, holes, at_ns[holes - 1] + 1)  # a gap is not bridged
+    times = rr.TimeColumn(TIME_LINE, timestamp=between.astype("datetime64[ns]"))
     value = np.array(line["v"], float)
     drawn = {"": (value, line["name"], 2.0, colour)}
     if line["h"] is not None:
@@ -59,4 +69,5 @@ def _line(recording: Any, entity: str, line: Json, colour: tuple[int, int, int])
         drawn |= {"/low": (value - half, "", 0.7, pale), "/high": (value + half, "", 0.7, pale)}
     for suffix, (series, name, width, own) in drawn.items():
         recording.log(entity + suffix, rr.SeriesLines(names=name or "95 %", widths=width, colors=own), static=True)
-        recording.send_columns(entity + suffix, indexes=[times], columns=rr.Scalars.columns(scalars=series))
+        shown = np.insert(series, holes, math.nan)
+        recording.send_columns(entity + suffix, indexes=[times], columns=rr.Scalars.columns(scalars=shown))
