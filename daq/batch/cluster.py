@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from daq.base.console.output import version
 from daq.base.contract.errors import ConfigError
 from drivers.contract import LinkError
 
@@ -73,6 +74,16 @@ def _here(count: int) -> Iterator[Any]:
             cluster.close(timeout=CLOSE_S)
 
 
+def _ask_version(client: Any, address: str) -> None:
+    """Raise ConfigError unless every worker has this version: its numbers would be others."""
+    found = client.run(version, on_error="return")
+    others = {worker: said if isinstance(said, str) else "none" for worker, said in found.items() if said != version()}
+    wrong = [f"{worker} has {said}" for worker, said in others.items()]
+    if wrong:
+        text = f"needs rotorscope {version()} at every worker, and {wrong[0]}; install it there, and start them again"
+        raise ConfigError(f"{address}: {text}")
+
+
 def _kill(cluster: Any) -> None:
     """End workers in the middle of their tasks: what they do is wanted no more."""
     for nanny in cluster.workers.values():
@@ -109,6 +120,7 @@ def _there(address: str) -> Iterator[Any]:
         except TimeoutError as error:
             text = f"the scheduler has no workers; start some: dask worker {address} --nthreads 1 --nworkers auto"
             raise LinkError(f"{address}: {text}") from error
+        _ask_version(client, address)
         yield client
     finally:
         with suppress(Exception):  # the scheduler may be gone

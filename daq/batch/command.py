@@ -105,7 +105,7 @@ def _run(output: Output, asked: Asked, results: Results, known: Known, tasks: li
     with Stop() as stop, connected(asked.scheduler) as client, output.progress("batch") as progress:
         loop = Loop(
             client=client, results=results, timeout_s=asked.timeout_s, windows=asked.windows, names=asked.names,
-            settled=known.settled, progress=progress, stopped=stop.event.is_set,
+            settled=known.settled, progress=progress, stopped=stop.event.is_set, note=output.note,
         )  # fmt: skip
         try:
             loop.run(tasks)

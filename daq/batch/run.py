@@ -30,7 +30,7 @@ DEAD_TEXT = "ended its worker each time, most likely for want of memory: give --
 class Loop:
     """client : of Dask. timeout_s : of a task; None for none. windows, names : what a log is cut into, if it is.
 
-    settled : whether a task needs not be done. stopped : whether the user has asked to stop.
+    settled : whether a task needs not be done. stopped : whether the user has asked to stop. note : told what goes on.
     """
 
     client: Any
@@ -41,6 +41,7 @@ class Loop:
     settled: Callable[[Task], bool] = lambda task: False
     progress: Progress = quiet_progress
     stopped: Callable[[], bool] = lambda: False
+    note: Callable[[str], None] = lambda text: None
 
     def __post_init__(self) -> None:
         self._todo: deque[Task] = deque()
@@ -49,7 +50,7 @@ class Loop:
         self._begun: dict[str, tuple[float, str]] = {}  # key -> when, and at which worker
         self._rows: list[dict[str, Any]] = []
         self._stored_s = self._started_s = time.monotonic()
-        self._counted_s, self._most = -COUNT_S, LEAST_IN_FLIGHT
+        self._counted_s, self._most, self._had_cores = -COUNT_S, LEAST_IN_FLIGHT, True
         self.total = self.done = self.failed = self._pending = 0
 
     def run(self, tasks: Iterable[Task]) -> None:
@@ -77,7 +78,11 @@ class Loop:
     def _submit(self) -> None:
         if time.monotonic() > self._counted_s + COUNT_S:  # workers come and go
             self._counted_s = time.monotonic()
-            self._most = max(LEAST_IN_FLIGHT, IN_FLIGHT_PER_CORE * sum(self.client.nthreads().values()))
+            cores = sum(self.client.nthreads().values())
+            self._most = max(LEAST_IN_FLIGHT, IN_FLIGHT_PER_CORE * cores)
+            if not cores and self._had_cores:
+                self.note("no worker is left: waiting for one; Ctrl-C ends, and keeps what is done")
+            self._had_cores = cores > 0
         while self._todo and len(self._flying) < self._most:
             task = self._todo.popleft()
             if task.log.rig.problem:

@@ -122,14 +122,15 @@ def _afford(task: Task, values: int) -> None:
 
 
 def worker_memory() -> int:
-    """The limit of this worker's memory, bytes; 0 where it has none."""
+    """The limit of this worker's memory, bytes: its own, or what there is; 0 outside a worker."""
     from distributed import get_worker
+    from distributed.system import MEMORY_LIMIT
 
     try:
         manager = getattr(get_worker(), "memory_manager", None)
-    except ValueError:  # not in a worker
+    except ValueError:
         return 0
-    return int(getattr(manager, "memory_limit", None) or 0)
+    return int(getattr(manager, "memory_limit", None) or MEMORY_LIMIT)
 
 
 def _say_begun(task: Task) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from estimator.parallel import map_processes
+from estimator.parallel import map_processes, map_threads, one_core
 
 BEGIN = """
 import json, os, signal, sys, time
@@ -130,3 +130,12 @@ def test_progress_is_told() -> None:
     assert heard[-1] >= 18
     assert map_processes([], done=heard.append) == []
     assert map_processes([partial(int, "7")]) == [7]
+
+
+def test_on_one_core_everything_is_done_here_and_now() -> None:
+    told: list[int] = []
+    with one_core():
+        assert set(map_threads(lambda _: threading.get_ident(), range(3), told.append)) == {threading.get_ident()}
+        assert map_processes([os.getpid, threading.active_count]) == [os.getpid(), threading.active_count()]
+    assert told == [1, 2, 3]
+    assert set(map_threads(lambda _: threading.get_ident(), range(3))) != {threading.get_ident()}
