@@ -73,6 +73,8 @@ def scan(path: Path, findings: Findings, at: int = 0) -> Iterator[list[Message]]
             findings.size = os.fstat(file.fileno()).st_size if findings.size is None else findings.size
             checksum = _Checksum(zlib.crc32(LOG_MAGIC) if first else None)
             yield from _scan(file, findings.size, findings, checksum, at)
+    except IsADirectoryError as error:
+        raise LogError(f"{path}: is a folder; give a log in it") from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
 

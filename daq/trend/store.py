@@ -90,7 +90,10 @@ class TrendStore:
             own = {"value": state.value, "sd": state.sd, "unit": state.unit, "text": state.text}
             self._rows.append(Row(state.since_ns, kind, state.what, **own))  # type: ignore[arg-type]
 
-    def status(self, status: Status) -> None: ...
+    def status(self, status: Status) -> None:
+        """Once a second: alarms and warnings do not wait for the minute."""
+        rows, self._rows = self._rows, []
+        self._hand_on(rows)
 
     def health(self) -> SinkHealth:
         out = []
@@ -139,9 +142,12 @@ class TrendStore:
             rows += layer_rows([seen for _, seen in own], own[-1][0])
         rows += [Row(self._now_ns, "gap", reason, float(n), unit="samples") for reason, n in self._lost.items() if n]
         self._lost.clear()
+        self._hand_on(rows)
+
+    def _hand_on(self, rows: list[Row]) -> None:
         if rows and not self._chores.put(partial(self._append, rows)):
             self._say_once("the disk stalls: rows of the trend are lost")
-        if not self._live:
+        if rows and not self._live:
             self._chores.wait()
 
     def _append(self, rows: list[Row]) -> None:

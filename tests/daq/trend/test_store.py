@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sessions import RATE_HZ, make_block, make_estimate, make_session
+from promises import until
+from sessions import RATE_HZ, make_block, make_estimate, make_session, make_status
 
 from daq.trend.days import DayWriter, Row, read_days, table
 from daq.trend.store import TrendStore
@@ -101,6 +102,15 @@ def test_a_session_puts_its_numbers_into_the_trend(tmp_path: Path) -> None:
     (zone,) = {r["text"] for r in found if r["name"] == "b1x.velocity_rms_mm_s"}
     assert zone == "B"
     assert [r["value"] for r in found if r["kind"] == "gap"] == [76.0]
+
+
+def test_a_warning_does_not_wait_for_the_minute(tmp_path: Path) -> None:
+    store = TrendStore(tmp_path, wall_offset_ns=T0_NS - 10**12)
+    store.start(make_session())
+    store.readings([make_block(0, 1024), Notice(10**12, "warning", "alarm", "kL")])
+    store.status(make_status(1024))
+    until(lambda: [r["name"] for r in rows(tmp_path)] == ["alarm"])
+    store.close()
 
 
 def test_columns_have_their_version() -> None:
