@@ -352,8 +352,9 @@ class RollingEstimator:
             self._jobs.append(partial(self._look_for_background, follower))
 
     def _look_for_missing(self, follower: Follower) -> None:
-        """Renew what is said of missing force, with the next estimate."""
+        """Renew what is said of missing force."""
         self._missing = missing_force(follower)
+        self._show(follower)
 
     def _look_for_background(self, follower: Follower) -> None:
         """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""
