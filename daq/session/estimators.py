@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +29,9 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
     module, name = ESTIMATOR_OF_METHOD[method]
 
     def make(model: Model, rate_hz: float) -> OnlineEstimator:
-        made, more = getattr(import_module(module), name), {}
+        made, more = getattr(import_module(module), name), dict[str, Any]()
+        if method == "spectral":
+            more["run"] = _in_thread
         if method == "spectral" and watch != "usual":
             more["watch"] = (
                 import_module("estimator.identification.rolling").watchable_effects() if watch == "catalogue" else ()
@@ -36,6 +40,28 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
         return estimator
 
     return make
+
+
+def _in_thread(search: Callable[[], Any]) -> Callable[[], Any]:
+    """Run a search in a thread of its own; the function that is returned waits for it and gives its result."""
+    found: list[Any] = []
+
+    def run() -> None:
+        try:
+            found.append(search())
+        except Exception as problem:  # raised where the result is asked for
+            found.append(problem)
+
+    thread = threading.Thread(target=run, name="background search", daemon=True)
+    thread.start()
+
+    def result() -> Any:
+        thread.join()
+        if isinstance(found[0], Exception):
+            raise found[0]
+        return found[0]
+
+    return result
 
 
 def warm_up(make: MakeEstimator, model: Model, rate_hz: float, rows: int) -> None:

@@ -6,7 +6,9 @@ then the fits of its parts differ. They are made as the parts come, one at a tim
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,36 +29,54 @@ from .start import FirstFit, first_fit
 RECORD_S = 24.0  # of samples, in which a background is found
 BACKGROUND_PARTS = 4  # of them: each shows the background alone
 MAX_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
-MAX_PARTS_APART_REL = 0.1  # of kL: a mode of the wrong form moves it by about 20 %, chance by 1 to 3 %
+MAX_PARTS_APART_REL = 0.07  # of kL: a mode of the wrong form moves it by 10 to 25 %, chance by 1 to 3 %
 PAUSE_REL = 2  # all samples so far times this, until the next search
 
 
-class BackgroundSearch:
-    """When to look for a background, and what has been found. rows : that it needs; 0 where they would be too many."""
+Run = Callable[[Callable[[], FirstFit | None]], Callable[[], FirstFit | None]]
 
-    def __init__(self, rate_hz: float, block: int, least_blocks: int) -> None:
+
+def in_line(search: Callable[[], FirstFit | None]) -> Callable[[], FirstFit | None]:
+    """Run a search at once; the function that is returned gives its result."""
+    found = search()
+    return lambda: found
+
+
+class BackgroundSearch:
+    """When to look for a background, and what has been found. rows : that it needs; 0 where they would be too many.
+
+    run : how a search is run. Its result is asked for at a fixed row later, however long it takes.
+    """
+
+    def __init__(self, rate_hz: float, block: int, least_blocks: int, run: Run) -> None:
         rows = min(max(int(RECORD_S * rate_hz), BACKGROUND_PARTS * least_blocks * block), MAX_ROWS) // block * block
         self.rows = rows if rows >= BACKGROUND_PARTS * least_blocks * block else 0
-        self._part, self._next = rows // BACKGROUND_PARTS, rows // BACKGROUND_PARTS
+        self._part, self._next, self._run = rows // BACKGROUND_PARTS, rows // BACKGROUND_PARTS, run
         self._stiffness: list[Array] = []  # (places,) N/m each, of the parts that show a background
+        self._search: Callable[[], FirstFit | None] | None = None  # that has begun
 
-    def is_due(self, seen: int) -> bool:
-        """Whether to look after so many rows, if the residual force is not white."""
-        return self.rows > 0 and seen >= self._next
+    def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
+        """Whether to go on after so many rows. coloured : whether the residual force is not white."""
+        return self.rows > 0 and seen >= self._next and (self._search is not None or coloured())
 
-    def look(
-        self, seen: int, known: Background | None, model: Model, lines: Model, y: Array, rate_hz: float, block: int
+    def step(
+        self, seen: int, known: Background | None, model: Model, lines: Model, blocks: Sequence[Array], rate_hz: float
     ) -> FirstFit | None:  # fmt: skip
-        """A fit with another background than the known one, once it is sure.
+        """Begin a search, or end one: a fit with another background than the known one, once it is sure.
 
-        seen : rows so far. model, lines, rate_hz, block : as of `first_fit`. y : the last rows (n, channels), SI.
+        seen : rows so far. model, lines, rate_hz : as of `first_fit`. blocks : the last rows (n, channels) each, SI.
         """
         whole = len(self._stiffness) == BACKGROUND_PARTS
-        found = _fit_with_background(model, lines, y[-self.rows if whole else -self._part :], rate_hz, block)
+        if self._search is None:
+            y, rows = np.concatenate(blocks), self.rows if whole else self._part
+            self._search = self._run(partial(_fit_with_background, model, lines, y[-rows:], rate_hz, len(blocks[0])))
+            self._next = seen + self._part // 2
+            return None
+        found, self._search = self._search(), None
         kL: list[Array] = [] if found is None else [*self._stiffness, found.point.kL]
         agree = found is not None and bool(np.all(np.ptp(kL, axis=0) < MAX_PARTS_APART_REL * kL[0]))
         if agree and not whole:
-            self._stiffness, self._next = kL, seen + (self._part if len(kL) < BACKGROUND_PARTS else 0)
+            self._stiffness, self._next = kL, seen + (self._part // 2 if len(kL) < BACKGROUND_PARTS else 0)
             return None
         self._stiffness, self._next = [], PAUSE_REL * seen
         if found is None or not agree or found.point.data.background is None or not _is_explained(found):

@@ -34,7 +34,7 @@ from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_resp
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .anchor import anchor_at
-from .background import BackgroundSearch
+from .background import BackgroundSearch, Run, in_line
 from .follower import Follower
 from .piece import in_time_folds, joined_motion, piece_record
 from .report import is_coloured, judged_parameters
@@ -76,6 +76,10 @@ class RollingEstimator:
         bearing force, and ``missing_force_percent_NAME`` for each effect that is certain. After a spike `extra` also
         holds ``spikes_left_out``, the number of samples that were left out.
 
+    run : callable
+        How the search for structural modes is run, which takes seconds: ``run(search)`` returns a function that gives
+        the result of ``search()``. By default within ``update``. The estimates do not depend on it.
+
     Raises
     ------
     ValueError
@@ -106,8 +110,9 @@ class RollingEstimator:
     """
 
     def __init__(
-        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = DEFAULT_CANDIDATES
-    ) -> None:
+        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = DEFAULT_CANDIDATES,
+        run: Run = in_line,
+    ) -> None:  # fmt: skip
         if time_constant_s <= 0:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
         self._scope = rolling_scope(model)
@@ -126,7 +131,7 @@ class RollingEstimator:
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
         self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
         self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
-        self._background = BackgroundSearch(rate_hz, self._block, START_BLOCKS)
+        self._background = BackgroundSearch(rate_hz, self._block, START_BLOCKS, run)
         self._background_s = 0.0  # when it was found
         self._shaft = ShaftAngle(model, rate_hz)
         self._fresh: list[Array] = []  # rows of the block that is not whole yet
@@ -348,7 +353,7 @@ class RollingEstimator:
         if self._background_s:
             extra = {**(extra or {}), BACKGROUND_KEY: self._background_s}
         self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=extra)
-        if self._background.is_due(self._seen) and is_coloured(follower):
+        if self._background.is_due(self._seen, partial(is_coloured, follower)):
             self._jobs.append(partial(self._look_for_background, follower))
 
     def _look_for_missing(self, follower: Follower) -> None:
@@ -358,8 +363,8 @@ class RollingEstimator:
 
     def _look_for_background(self, follower: Follower) -> None:
         """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""
-        asked = self.model, self._whole, np.concatenate(self._rows), self.rate_hz, self._block
-        first = self._background.look(self._seen, follower.anchor.data.background, *asked)
+        asked = self.model, self._whole, self._rows, self.rate_hz
+        first = self._background.step(self._seen, follower.anchor.data.background, *asked)
         if first is not None:
             self._background_s = self._seen / self.rate_hz
             self._begin(first)

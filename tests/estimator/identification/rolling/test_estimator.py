@@ -57,26 +57,24 @@ def test_a_long_warm_up_says_what_it_waits_for() -> None:
 
 
 def test_structural_modes_become_part_of_the_estimate_once_they_are_sure() -> None:
-    """Parts on the cap at 650 and 1100 Hz, beside a bearing at 400 Hz: kL is 9 % low without them, and that is said."""
-    rate_hz, seconds, m, k, c = 8192.0, 29.0, 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
+    """A part on the cap at 900 Hz, beside a bearing at 400 Hz, and a force whose spectrum falls by 6 dB an octave."""
+    rate_hz, seconds, m, k, c = 8192.0, 36.0, 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
     f, rng = np.arange(int(seconds * rate_hz) // 2 + 1) / seconds, np.random.default_rng(0)
     s = 2j * np.pi * np.maximum(f, 1.0)
-    stiffness = m * s**2 + k + c * s
-    for hz in (650.0, 1100.0):
-        part = StructuralMode(form="attached", mass=0.02, frequency_hz=hz, damping=0.02)
-        stiffness += part.attached_stiffness(s)
+    part = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
+    stiffness = (m * s**2 + k + c * s + part.attached_stiffness(s)) * np.abs(s) / 2500.0
     force = rng.normal(size=f.size) + 1j * rng.normal(size=f.size)
     y = irfft(100.0 * force * s**2 / stiffness, int(seconds * rate_hz))[:, None]
     rig = Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 1800.0), mass={"bearing1": m})
     estimates = run(RollingEstimator(rig, rate_hz, 10.0, watch=()), y, 4096)
     before, last = estimates[int(23 * rate_hz / 4096)].parameters["bearing1.x.kL"], estimates[-1]
     assert "not white" in before.reason
-    assert before.value == pytest.approx(0.91 * k, rel=0.02)
+    assert not before.identifiable
     for name, true in (("kL", k), ("c", c)):
         found = last.parameters[f"bearing1.x.{name}"]
         assert abs(found.value - true) < 3.0 * found.sd
     assert last.extra is not None
-    assert last.extra["background_found_s"] == pytest.approx(26.5, abs=0.2)
+    assert last.extra["background_found_s"] == pytest.approx(33.0, abs=1.5)
 
 
 @pytest.mark.slow
