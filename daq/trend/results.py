@@ -67,12 +67,11 @@ def _machine(folder: Path, names: list[str], asked: str | None) -> str:
 
 
 def _time_ns(row: dict[str, Any]) -> int | None:
-    """Unix time of the start of what was looked at; None where it is not known."""
+    """Unix time of the start of what was looked at, of a window its own; None where it is not known."""
     started: datetime | None = row["started"]
     if started is None:
         return None
-    unix_us = round((started - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * 1e6)
-    return unix_us * 1000 + round((row["from_s"] or 0.0) * 1e9)
+    return round((started - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * 1e6) * 1000
 
 
 def _parameter(row: dict[str, Any]) -> Iterator[Row]:

@@ -11,7 +11,9 @@ import jsonschema
 import pytest
 from made_up_archive import RIG_TOML, archive, record, table
 
+from daq import read_log
 from daq.commands.cli.app import main
+from daq.trend.results import results_rows
 
 ONE_CAP = str(Path(__file__).parents[2] / "data" / "one_cap.toml")
 SCHEMA_FILE = Path(__file__).parents[3] / "docs" / "schemas" / "batch.json"
@@ -98,6 +100,18 @@ def test_verdicts_pay_for_the_archive_and_the_numbers_are_those_of_fit(
     }
     (verdict,) = table(folder / "out", "verdicts")
     assert (verdict["p_archive"], verdict["p_archive_records"]) == (verdict["p_value"], 1)
+
+
+def test_windows_are_a_trend_at_their_own_times(
+    folder: Path, scheduler: str, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    simulate = ("simulate", ONE_CAP, "--out", "log.mcap", "--seconds", "3", "--speed", "max", "--quiet")
+    assert main(list(simulate)) == 0
+    asked(capsys, "log.mcap", "--rig", ONE_CAP, "--do", "severity", "--window", "1s", "--scheduler", scheduler)
+    begun = read_log("log.mcap").started
+    times = sorted(set(results_rows(folder / "out")["time"].to_pylist()))
+    assert begun is not None
+    assert [(time - begun).total_seconds() for time in times] == pytest.approx([0.0, 1.0, 2.0], abs=2e-3)
 
 
 @pytest.mark.parametrize(
