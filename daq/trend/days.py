@@ -21,6 +21,7 @@ TREND_SCHEMA = "1"  # version of the columns
 VERSION_KEY = b"rotorscope.trend"
 PYARROW_EXTRA = "formats"  # of the package
 STREAM_SUFFIX, DAY_SUFFIX = ".arrows", ".parquet"
+READ_TRIES = 3
 MAX_PENDING = 20_000  # rows that wait for the disk: hours
 
 
@@ -167,9 +168,13 @@ def stream_tables(path: Path) -> Iterator[Any]:
 
 def read_day(folder: Path, day: str) -> Any:
     """All rows of a day, in the order of time: an Arrow table. Raises OSError."""
-    path = folder / f"{day}{DAY_SUFFIX}"
-    parts = [arrow("pyarrow.parquet").read_table(path)] if path.exists() else []
-    parts += [batch for stream in streams(folder, day) for batch in stream_tables(stream)]
+    path, parts = folder / f"{day}{DAY_SUFFIX}", list[Any]()
+    for _ in range(READ_TRIES):  # a service may put its streams into the file meanwhile
+        own = streams(folder, day)
+        parts = [arrow("pyarrow.parquet").read_table(path)] if path.exists() else []
+        parts += [batch for stream in own for batch in stream_tables(stream)]
+        if streams(folder, day) == own:
+            break
     whole = arrow().concat_tables([part.cast(schema()) for part in parts]) if parts else schema().empty_table()
     return whole.sort_by("time")
 
