@@ -22,6 +22,7 @@ class Thresholds:
     amplitude_margin_nats: float = 3.0  # added to the loss that chance makes
     min_gain_nats: float = 5.0  # held out, fitted with the model: ln of the number of laws that a search tries
     max_left_rel: float = 0.2  # of what a candidate was to explain (rms of a force, power of a spectrum)
+    max_left_of_likelier_rel: float = 0.5  # the same where no law that leaves less predicts as well
     max_frequency_over_rate: float = 0.5  # a mode or a tone above it is an image
     max_gap_over_motion: float = 1.0  # a gap wider than the largest motion is never closed
 

@@ -86,6 +86,8 @@ class BearingBackground:
         Spectrum of the force over that of the model, mean 1; linear between the knots in logarithms.
     knot_octaves : float
         Distance of the knots of the spline behind `psd_rel`; infinite of a white force.
+    fall_power : int
+        Power of the frequency in the logarithm of the spectrum towards the upper edge of the band; 0 for none.
     stiffness_sd_rel, damping_sd_rel : float
         Standard deviations that the unknown background adds to those of kL and c, relative.
     """
@@ -96,6 +98,7 @@ class BearingBackground:
     f_hz: Array
     psd_rel: Array
     knot_octaves: float = np.inf
+    fall_power: int = 0
     stiffness_sd_rel: float = 0.0
     damping_sd_rel: float = 0.0
 

@@ -8,6 +8,8 @@ from functools import partial
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape, missing_force_curve
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
@@ -137,6 +139,8 @@ def judge_bearing(
     tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
     named = [e for e in entries if e.passed]
+    if named and (better := _better_predicting(entries, named[0], context)) is not None:
+        named.insert(0, better)
     if not (named and named[0].placed):
         say(0.92, "a mistake in the rig file?")
         if (mistaken := mistake(entries=entries)) is not None:
@@ -147,9 +151,9 @@ def judge_bearing(
     shaped = context.fitted(named[0]).whole
     if shaped is not None and (law := _law_beside(shaped, named[0], y, say, refused)) is not None:
         return law
-    ranking = (*named, *(e for e in entries if not e.passed))
+    ranking = (*named, *(e for e in entries if e not in named))
     ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if _left(e) is not None]
-    notes = () if named[0].placed else named[0].notes
+    notes = _more_missing(named[0]) if named[0].placed else named[0].notes
     return BearingJudgement(
         named[0].effect, ranking, separates=separation_text(ranking), messages=(*ahead, *notes)
     )  # fmt: skip
@@ -190,6 +194,33 @@ def _judged_entries(entries: list[Entry], context: Context) -> list[Entry]:
         if best is None and out[k].passed:
             best = out[k]
     return out
+
+
+def _better_predicting(entries: Sequence[Entry], named: Entry, context: Context) -> Entry | None:
+    """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
+
+    All are fitted together with the model. What the better one leaves is missing beside it.
+    """
+
+    def gain(entry: Entry) -> float:
+        fit = context.fits.get(entry.effect)
+        return -np.inf if fit is None or fit.gain_nats is None else fit.gain_nats
+
+    first, *others = sorted(entries, key=gain, reverse=True)
+    left = _left(first)
+    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not np.isfinite(gain(named)):
+        return None
+    return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
+
+
+def _more_missing(named: Entry) -> Sequence[Message]:
+    """The remark on a named law that leaves more than a fifth; none of another candidate."""
+    if named.passed:
+        return ()
+    left = f"{100 * (_left(named) or 0.0):.0f} %"
+    return (
+        Message("leaves_more", f"{named.effect} predicts better than any other law, but leaves {left} of the force"),
+    )
 
 
 def _left(entry: Entry) -> float | None:

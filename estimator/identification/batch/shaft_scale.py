@@ -83,7 +83,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
             data.places[own[cap]]: (float(heavier), float(s))
             for cap, heavier, s in zip(loose, point.values.heavier, sd, strict=True)
         }
-        if point.values.modes or np.isfinite(problem.octaves):
+        if point.values.modes or problem.basis.shape[1] > 1:
             at |= dict(backgrounds(problem, point, apart))
     ln_mass = _by_node(ln_mass)
     scaled = {place: _scaled(b, float(np.exp(ln_mass.get(place, (0.0, 0.0))[0]))) for place, b in at.items()}

@@ -9,7 +9,7 @@ from estimator.likelihood.motion.harmonics import has_unknown_line, known_lines
 from estimator.model.rig import MOTION_UNITS, Model
 
 from .spectra import channel_spectra
-from .tones import joined_bands, significant_lines
+from .tones import joined_bands, lines_to_leave_out, significant_lines
 
 
 def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
@@ -28,6 +28,6 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     if found is None:
         columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
         lines = significant_lines(channel_spectra(y, rate_hz, columns))
-        found = tuple(joined_bands(line.band for line in lines if line.is_left_out(model.band)))
+        found = tuple(joined_bands(line.band for line in lines_to_leave_out(lines, model.band)))
     bands = tuple(b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
     return replace(model, line_bands=bands)

@@ -12,7 +12,7 @@ from .machine_survey import MachineSurvey, Tone
 from .spectra import channel_spectra
 from .speed import rate_contradiction, shaft_speed
 from .strikes import find_strikes
-from .tones import significant_lines, tones_of, without_strike_lines
+from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
 
 MAX_TONES_SHOWN = 10
 LIVE_BANDS_PER_RATE = (1, 4)  # a third of the cost of the bank for a record
@@ -61,15 +61,13 @@ def survey_machine(
         remarks = rate
     tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
     shown, more = _shown(tones)
+    left_out = lines_to_leave_out(lines, model.band, speed)
     return MachineSurvey(
         speed=speed,
         tones=shown,
         strikes=tuple(strikes),
         messages=(*missing, *remarks, *struck, *more),
-        line_bands={
-            name: tuple(line.band for line in lines if line.channel == name and line.is_left_out(model.band))
-            for name in spectra
-        },
+        line_bands={name: tuple(line.band for line in left_out if line.channel == name) for name in spectra},
     )
 
 

@@ -26,6 +26,7 @@ MAINS_TOLERANCE_REL = 2e-3  # of a grid from its nominal frequency, and of the c
 MAX_MAINS_TOLERANCE_REL = 0.015  # of the mains frequency; a record that places a line worse does not name it
 MAX_ORDER_TOLERANCE = 0.03  # of the shaft's frequency; what places a line worse calls one in twenty an order by chance
 MAX_STRONG_ORDER_TOLERANCE = 0.05  # for the orders that every shaft has
+MAX_WANDER_REL = 0.01  # of a harmonic of the shaft at a steady speed, half its width
 STRONG_ORDERS = range(1, 6)  # of every shaft, also where a bearing strikes
 STRIKE_SIDEBANDS, STRIKE_TOLERANCE_REL = 2, 2e-3  # at the shaft speed, to either side; slip from strike to strike
 RESOLUTION_BINS = 1.0  # between a line and the frequency that it is said to have
@@ -48,16 +49,34 @@ class Line:
     power_ratio: float
     narrow: bool
 
-    def is_left_out(self, band: tuple[float, float]) -> bool:
-        """Whether a force balance in a band (Hz) leaves the line out; beside the band it may be a resonance too."""
-        return self.narrow or not band[0] < self.hz < band[1]
-
     @property
     def band(self) -> LineBand:
         """The band that holds the line, skirts of one that wanders included."""
         reach = REACH_HALF_WIDTHS * self.half_width_hz
         power = self.power_ratio * HANN_BIN_CORRELATION * self.half_width_hz
         return LineBand(low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power)
+
+
+def lines_to_leave_out(
+    lines: Sequence[Line], band: tuple[float, float], speed: ShaftSpeed | None = None
+) -> list[Line]:  # fmt: skip
+    """Lines that no force balance in a band judges: no resonances, beside the band any, and harmonics of the shaft.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+        Of all channels.
+    band : (float, float)
+        Hz.
+    speed : ShaftSpeed or None
+        Of the shaft; its wander widens its harmonics.
+    """
+
+    def is_harmonic(line: Line) -> bool:
+        fine = line.half_width_hz <= MAX_WANDER_REL * line.hz
+        return fine and speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
+
+    return [line for line in lines if line.narrow or not band[0] < line.hz < band[1] or is_harmonic(line)]
 
 
 def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:

@@ -25,6 +25,8 @@ MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e
 MAX_MISFIT = 0.23  # rms of ln(measured / model) with a background, 1 dB: instruments have +-10 % (ISO 2954)
 MAX_MODES_PER_CAP = 6
 KNOT_OCTAVES = (2.0, 1.0)  # distances of the knots of the spectrum of the force, tried in turn
+FALL_POWERS = (8, 16, 32)  # of the frequency in ln S, towards the upper edge: an unknown filter, a mounting resonance
+MIN_EDGE_RATIO = 2.0  # of the upper edge over a resonance, for a fall in the spectrum that is not the bearing's
 MIN_KNOT_WIDTHS = 4.0  # the same in half-power widths of the bearing's resonance: no bend within it
 SCANNED_PER_OCTAVE = 40
 SCANNED_DAMPING = (0.006, 0.02, 0.06)
@@ -170,7 +172,7 @@ def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
     own = list(problem.spectra.places)
     least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
     return JointValues(
-        force=np.log(point.S[own])[:, None] * np.ones((1, problem.basis.shape[1])),
+        force=np.log(point.S[own])[:, None] * problem.flat,
         noise=np.log(np.maximum((point.nu * point.S)[own], least)),
         stiffness=np.log(sound_stiffness_and_damping(point)[0][own]),
         damping=problem.damping0.copy(),
@@ -185,7 +187,8 @@ def with_known_background(
     there = {} if known is None else {c: b for c, p in own.items() if (b := known.at.get(p))}
     if not there:
         return None
-    problem = problem.with_octaves(min(b.knot_octaves for b in there.values()))
+    octaves, fall = min(b.knot_octaves for b in there.values()), max(b.fall_power for b in there.values())
+    problem = replace(problem, octaves=octaves, fall_power=fall)
     values = start_values(problem, point)
     for cap, background in there.items():
         ln_psd = np.log(background.force_shape(problem.spectra.f_hz))
@@ -206,14 +209,15 @@ def search_background(problem: JointSpectrum, point: JointPoint, least: float) -
     octaves = [o for o in KNOT_OCTAVES if _least_octaves(problem, point) <= o < problem.octaves]
     while len(point.values.modes) < MAX_MODES_PER_CAP * problem.mass.size:
         tried = list(_tried_modes(problem, point))
-        if octaves:
-            finer = problem.with_octaves(octaves[0])
-            tried.append((finer, tried_point(finer, finer.respaced(point.values, problem))))
+        finer = [replace(problem, octaves=own) for own in octaves[:1]]
+        if problem.fall_power == 0 and _resonates_low(problem, point):
+            finer += [replace(problem, fall_power=power) for power in FALL_POWERS]
+        tried += [(other, tried_point(other, other.respaced(point.values, problem))) for other in finer]
         there, best = max(tried, key=lambda one: one[1].log_likelihood, default=(problem, point))
         best = there.maximised(best.values)
         if best.log_likelihood - point.log_likelihood < least:
             break
-        octaves = octaves if there is problem else octaves[1:]
+        octaves = [o for o in octaves if o < there.octaves]
         problem, point = there, best
     return problem, without_idle_modes(problem, _in_likelier_forms(problem, point), least)
 
@@ -252,6 +256,12 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
         if point.log_likelihood - bare.log_likelihood < least:
             point = bare
     return point
+
+
+def _resonates_low(problem: JointSpectrum, point: JointPoint) -> bool:
+    """Whether all bearings resonate so far below the upper edge of the band that a fall there is not theirs."""
+    hz = np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi)
+    return bool(hz.max() * MIN_EDGE_RATIO < problem.spectra.f_hz[-1])
 
 
 def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:
@@ -327,11 +337,12 @@ def backgrounds(
     first = caps * (problem.basis.shape[1] + 1)
     bearing = np.arange(first, first + 2 * caps)
     whole = np.diag(np.linalg.pinv(products(J)))[bearing]
-    white = replace(problem, octaves=np.inf, loose=())
+    white = replace(problem, octaves=np.inf, fall_power=0, loose=())
     J, _ = white.score(replace(found, values=replace(values, force=np.zeros((caps, 1)), heavier=np.zeros(0))))
     known = np.diag(np.linalg.pinv((products(J))[: 4 * caps, : 4 * caps]))[2 * caps :]
     more = np.sqrt(np.maximum(whole - known, 0.0)).reshape(2, caps)
-    f = np.geomspace(problem.spectra.f_hz[0], problem.spectra.f_hz[-1], SHAPE_KNOTS)
+    cells = problem.spectra.f_hz
+    f = cells if problem.fall_power else np.geomspace(cells[0], cells[-1], SHAPE_KNOTS)
     for cap, i in enumerate(problem.spectra.places):
         ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
         psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
@@ -345,6 +356,7 @@ def backgrounds(
                 f_hz=f,
                 psd_rel=psd,
                 knot_octaves=problem.octaves,
+                fall_power=problem.fall_power,
                 stiffness_sd_rel=float(more[0, cap]),
                 damping_sd_rel=float(more[1, cap]),
             ),

@@ -136,6 +136,8 @@ class JointSpectrum:
         Spectrum of the force that the model gives.
     octaves : float
         Distance of the knots of ln S; infinite for a white force.
+    fall_power : int
+        Power of the frequency in ln S towards the upper edge of the band, as of an unknown filter; 0 for none.
     damping0 : (caps,) float64
         ln c about which the damping is expected.
     loose : tuple of int
@@ -153,14 +155,23 @@ class JointSpectrum:
     loose: tuple[int, ...] = ()
     shaft: Complexes | None = None
     octaves: float = np.inf
+    fall_power: int = 0
     basis: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "basis", _spline_basis(np.log(self.spectra.f_hz), self.octaves))
+        f = self.spectra.f_hz
+        splines = _spline_basis(np.log(f), self.octaves)
+        fall = (f[:, None] / f[-1]) ** self.fall_power if self.fall_power else np.zeros((f.size, 0))
+        object.__setattr__(self, "basis", np.hstack([splines, fall]))
 
-    def with_octaves(self, octaves: float) -> JointSpectrum:
-        """The problem with knots of another distance."""
-        return replace(self, octaves=octaves)
+    @property
+    def flat(self) -> Array:
+        """(splines,) coefficients of ln S = 1."""
+        return np.append(np.ones(self.basis.shape[1] - 1), 0.0 if self.fall_power else 1.0)
+
+    def in_form_of(self, other: JointSpectrum) -> JointSpectrum:
+        """The problem with the form of the spectrum of the force of another one."""
+        return replace(self, octaves=other.octaves, fall_power=other.fall_power)
 
     def respaced(self, values: JointValues, old: JointSpectrum) -> JointValues:
         """Values of another spacing of the knots, as near as these knots allow."""
@@ -193,8 +204,7 @@ class JointSpectrum:
         log_det = 2.0 * np.log(np.abs(root[:, caps, caps])).sum(axis=1)
         nats = -float(spectra.n @ (log_det + np.einsum("fii->f", R).real))
         prior = 0.5 * float(np.sum(((values.damping - self.damping0) / DAMPING_PRIOR_SD) ** 2))
-        uneven = values.force - values.force.mean(axis=1, keepdims=True)
-        prior += 0.5 * float(np.sum((uneven / SPLINE_PRIOR_SD) ** 2))
+        prior += 0.5 * float(np.einsum("is,st,it->", values.force, self._spline_prior(), values.force))
         return JointPoint(
             values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
         )  # fmt: skip
@@ -344,12 +354,16 @@ class JointSpectrum:
         at."""
         caps, splines = values.force.shape
         information, centre = np.zeros((values.vector().size,) * 2), np.zeros(values.vector().size)
-        own = (np.eye(splines) - 1.0 / splines) / SPLINE_PRIOR_SD**2
-        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), own)
+        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), self._spline_prior())
         first = caps * (splines + 2)
         at = np.arange(first, first + caps)
         information[at, at], centre[at] = 1.0 / DAMPING_PRIOR_SD**2, self.damping0
         return information, centre
+
+    def _spline_prior(self) -> Array:
+        """(splines, splines) information on the coefficients of ln S about their mean."""
+        flat = self.flat
+        return np.asarray((np.diag(flat) - np.outer(flat, flat) / flat.sum()) / SPLINE_PRIOR_SD**2)
 
     def _better(self, point: JointPoint, values: JointValues) -> JointPoint | None:
         """The point at some values if it is likelier; None if not."""

@@ -169,7 +169,7 @@ class RigSpectra:
             if start is None:
                 out.append(self._plain(model, problem, channels))
             else:
-                problem = problem.with_octaves(start.solutions[k][0].octaves)
+                problem = problem.in_form_of(start.solutions[k][0])
                 out.append((problem, tried_point(problem, self._values_of(problem, channels, start))))
         return out
 

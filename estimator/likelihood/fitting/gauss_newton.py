@@ -102,8 +102,9 @@ def _start_values(
     if start.data is not data:
         data = data.with_mass(start.data.mass) if data.free_inertia else data
         data = _denoised(replace(data, out_of_band_sd=start.data.out_of_band_sd), nu, start.S)
-    if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
-        kL, c, _ = _first_linear_values(data, uses, start.lin)
+    known = {u.key for u in start.placed}
+    if new := sorted({i for u in uses if u.key not in known for i in u.at}):  # a strong law takes over much of kL and c
+        kL[new], c[new] = (values[new] for values in _first_linear_values(data, uses, start.lin)[:2])
     return data, kL, c, nu, S
 
 
@@ -159,14 +160,15 @@ def _first_linear_values(
             if i in use.at and lin is not None:
                 known = known + law_along_record(use, data, i, lin)[0]
         force, x, v = (_start_spectrum(data, z) for z in (known, data.x[i], data.v[i]))
-        kL[i] = data.held.get(f"{place}.kL", -np.vdot(x, force).real / np.vdot(x, x).real)
-        if data.background is not None and place in data.background.at:
-            kL[i] = data.background.at[place].stiffness
+        background = None if data.background is None else data.background.at.get(place)
+        free = -np.vdot(x, force).real / np.vdot(x, x).real if background is None else background.stiffness
+        kL[i] = data.held.get(f"{place}.kL", free)
         force += kL[i] * x
         if data.measured_force_psd[i] > 0.0:
             damping = np.array([-np.vdot(v, force).real / np.vdot(v, v).real])
         else:
             damping = 2 * np.geomspace(*START_DAMPING_RATIOS) * np.sqrt(max(kL[i], 0.0) * data.mass[i])
+        damping = damping if background is None else np.array([background.damping])
         damping = np.array([data.held[f"{place}.c"]]) if f"{place}.c" in data.held else damping
         Q = np.mean(np.abs(force) ** 2) + damping * (2 * np.vdot(v, force).real + damping * np.vdot(v, v).real) / x.size
         w = 2 * np.pi * data.f_hz

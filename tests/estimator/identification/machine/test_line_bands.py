@@ -36,11 +36,12 @@ def test_tones_move_no_number_and_are_no_missing_force() -> None:
         assert abs(p.value - q.value) < 0.5 * q.sd
 
 
-def test_a_wandering_tone_beside_the_band_moves_no_number() -> None:
+@pytest.mark.parametrize("hz", [125.0, 175.0], ids=["beside the band", "harmonic of the shaft"])
+def test_a_wandering_tone_moves_no_number(hz: float) -> None:
     clean = simulate(ONE_CAP_RIG, RATE_HZ, 8.0, seed=2)
     t = np.arange(len(clean)) / RATE_HZ
     wander = 0.004 * np.sin(2 * np.pi * 0.7 * t) / (2 * np.pi * 0.7)
-    tone = 3.0 * clean.std() * np.sin(2 * np.pi * 125.0 * (t + wander))[:, None]
+    tone = 3.0 * clean.std() * np.sin(2 * np.pi * hz * (t + wander))[:, None]
     found, alone = (compare(ONE_CAP_RIG, y, RATE_HZ) for y in (clean + tone, clean))
     assert found.adequate
     for name in ("kL", "c", "S"):

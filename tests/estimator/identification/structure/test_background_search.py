@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.fft import irfft
+from scipy.signal import cheby2, sosfilt
 
 from estimator import Channel, Model, compare, fit
 from estimator.identification.structure.cross_spectra import CrossSpectra
@@ -49,6 +52,18 @@ def test_structural_modes_are_found_and_leave_stiffness_and_damping_right() -> N
     assert compare(rig(), y, RATE_HZ).adequate
 
 
+def test_an_unknown_filter_is_a_fall_of_the_force_spectrum_and_no_mode() -> None:
+    sos = cheby2(8, 60.0, 3100.0, output="sos", fs=RATE_HZ)
+    model = replace(rig(), band=(100.0, 2600.0))
+    found = fit(model, sosfilt(sos, record_with_modes(24.0), axis=0), RATE_HZ)
+    for name, true in (("kL", STIFFNESS), ("c", DAMPING)):
+        parameter = found.parameters[f"bearing1.x.{name}"]
+        assert parameter.value is not None
+        assert parameter.value == pytest.approx(true, rel=0.05)
+    told = next(m.text for m in found.messages if m.code == "structural_modes")
+    assert len(told.split(",")) == 2, told
+
+
 def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
     rng = np.random.default_rng(0)
     f = np.linspace(50.0, 800.0, 200)
@@ -61,7 +76,7 @@ def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
     )
     problem = JointSpectrum(
         spectra=spectra, Z0=shaft + (s**2)[:, None, None] * np.diag(mass), laws=np.zeros((200, 2), complex), mass=mass,
-        shape=np.ones((200, 2)), damping0=np.log([60.0, 80.0]), octaves=1.0, loose=(1,),
+        shape=np.ones((200, 2)), damping0=np.log([60.0, 80.0]), octaves=1.0, fall_power=8, loose=(1,),
         shaft=np.broadcast_to(shaft, (200, 2, 2)).astype(complex),
     )  # fmt: skip
     values = JointValues(
