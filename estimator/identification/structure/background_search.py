@@ -119,7 +119,7 @@ def spectral_problem(
     mass = cap_masses(model, point)[own]
     _, c = sound_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
-    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own] if loose else None
+    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own]
     return JointSpectrum(
         spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
     )  # fmt: skip

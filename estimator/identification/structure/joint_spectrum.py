@@ -142,8 +142,8 @@ class JointSpectrum:
         ln c about which the damping is expected.
     loose : tuple of int
         Caps whose mass is fitted.
-    shaft : (cells, caps, caps) complex128 or None
-        Dynamic stiffness of the shaft, N/m, that sets these masses; None where there are none.
+    shaft : (cells, caps, caps) complex128
+        Dynamic stiffness of the shaft, N/m, that sets these masses; empty where there are none.
     """
 
     spectra: CrossSpectra
@@ -153,7 +153,7 @@ class JointSpectrum:
     shape: Array
     damping0: Array
     loose: tuple[int, ...] = ()
-    shaft: Complexes | None = None
+    shaft: Complexes = field(default_factory=lambda: np.zeros((0, 0, 0), np.complex128))
     octaves: float = np.inf
     fall_power: int = 0
     basis: Array = field(init=False)
@@ -191,7 +191,7 @@ class JointSpectrum:
         Z = self.Z0.copy()
         Z[:, caps, caps] += B + attached
         for cap, heavier in zip(self.loose, values.heavier.tolist(), strict=True):
-            Z[:, cap] += np.expm1(-heavier) * self._shaft_at(cap)
+            Z[:, cap] += np.expm1(-heavier) * self.shaft[:, cap]
         T = (s * s)[:, None, None] * np.linalg.inv(Z)
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
@@ -208,12 +208,6 @@ class JointSpectrum:
         return JointPoint(
             values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
         )  # fmt: skip
-
-    def _shaft_at(self, cap: int) -> Complexes:
-        """(cells, caps) N/m, force of the shaft on a cap per displacement of each cap."""
-        if self.shaft is None:
-            raise ValueError("no shaft sets the masses")
-        return self.shaft[:, cap]
 
     def modes(self, values: JointValues) -> Iterator[tuple[int, StructuralMode]]:
         """Number of its cap and structural mode, one after another."""
@@ -237,7 +231,7 @@ class JointSpectrum:
         """(cells, caps, caps) by loose cap: derivative of whitened Sigma by the logarithm of its mass."""
         pulled, w2, rows = point.W @ point.T, -(point.s**2)[:, None, None], self._signal_rows(point)
         for cap, heavier in zip(self.loose, point.values.heavier.tolist(), strict=True):
-            carried = np.einsum("fj,fjk->fk", -np.exp(-heavier) * self._shaft_at(cap), rows)
+            carried = np.einsum("fj,fjk->fk", -np.exp(-heavier) * self.shaft[:, cap], rows)
             half = pulled[:, :, cap, None] / w2 * carried[:, None, :]
             yield np.asarray(half + half.conj().swapaxes(1, 2))
 
