@@ -16,6 +16,8 @@ from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.effects import LINE_NAMES
+from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit
 from estimator.identification.finding import OTHER_BEARING
@@ -40,6 +42,7 @@ SPECTRUM_UNEXPLAINED = Message(
     "the missing force depends on no state, and no cause of the catalogue has its spectrum: check what excites the "
     "rotor at these frequencies, and the sensor",
 )
+SHAFT_HARMONICS = frozenset(PERIODIC_EFFECTS).difference(LINE_NAMES, {LOCAL_DEFECT.name})
 TWO_LAWS = "two_laws_fit"  # code: two laws of one state leave little together
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
 NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code})
@@ -165,7 +168,12 @@ def _is_tone(entry: Entry) -> bool:
 
 
 def _adequate(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
-    """The judgement of an adequate model: complete, but for a periodic force that passes the gates."""
+    """The judgement of an adequate model: complete, but for a periodic force that passes the gates.
+
+    Structural modes show that a record holds its surroundings, and every shaft has some 1X and 2X: beside modes these
+    are named by their severity alone.
+    """
+    refused = refused if context.model.background is None else refused | SHAFT_HARMONICS
     tones = _judged_entries([e for e in entries if _is_tone(e) and e.effect not in refused], context)
     named = [e for e in tones if e.passed]
     rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]

@@ -138,8 +138,7 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
 
     def judged(usable: UsableRecord) -> BearingJudgement:
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
-        modes = whole.model.background is not None
-        surroundings = tones_of_surroundings(layers.record, layers.machine, modes=modes)
+        surroundings = tones_of_surroundings(layers.record, layers.machine)
         found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
         return replace(found, messages=(*found.messages, *usable.messages, *whole.messages))
 

@@ -148,15 +148,14 @@ def line_entries(
 
 
 def tones_of_surroundings(
-    record: RecordSurvey, machine: MachineSurvey, *, modes: bool, limits: Thresholds = MACHINE_THRESHOLDS
+    record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
 ) -> frozenset[str]:
     """Periodic forces that are not named beside an adequate model, as tones of the surroundings are in the record.
 
-    Lines of the mains, or structural modes, show that a record holds its surroundings. A weak 1X or 2X is one of them:
-    imbalance and misalignment are named by their severity alone. A line is named where one has no cause and a share of
-    the power. modes : whether structural modes are part of the fit.
+    Lines of the mains show that a record holds tones of its surroundings. A weak 1X or 2X is one of them: imbalance and
+    misalignment are named by their severity alone. A line is named where one has no cause and a share of the power.
     """
-    if not modes and all(tone.kind != "mains" for tone in machine.tones):
+    if all(tone.kind != "mains" for tone in machine.tones):
         return frozenset()
     unexplained = any(
         amplitude**2 / 2.0 >= limits.min_unexplained_power_share * rms**2
