@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,8 @@ def results(folder: Path, machines: Sequence[str | None]) -> Path:
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in ("runs", "parameters", "verdicts", "severity")}
     for machine in machines:
         for hour in range(30):
-            of = {"log": "a.mcap", "rig": "r.toml", "machine": machine, "started": STARTED, "from_s": 3600.0 * hour}
+            time = {"started": STARTED + timedelta(hours=hour), "from_s": 3600.0 * hour}  # a window each hour of a log
+            of = {"log": "a.mcap", "rig": "r.toml", "machine": machine} | time
             rows["runs"].append(of | {"task": "fit", "status": "done"})
             own = {"value": 1e7 - 1e5 * hour, "sd": 1e4, "unit": "N/m", "identifiable": True}
             rows["parameters"].append(of | own | {"name": "bearing1.x.kL"})
