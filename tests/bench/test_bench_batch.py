@@ -55,7 +55,7 @@ def test_two_workers_do_nearly_twice_what_one_does(tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 
     (tmp_path / "logs").mkdir()
-    simulated(ONE_CAP, tmp_path / "logs" / "log00.mcap", 30.0)
+    simulated(ONE_CAP, tmp_path / "logs" / "log00.mcap", 60.0)
     for k in range(1, LOGS):
         shutil.copy(tmp_path / "logs" / "log00.mcap", tmp_path / "logs" / f"log{k:02d}.mcap")
     seconds, busy_share, core_s = {}, {}, {}
@@ -71,7 +71,7 @@ def test_two_workers_do_nearly_twice_what_one_does(tmp_path: Path) -> None:
     wall, crowd = seconds[1] / seconds[2], crowding()
     ratio = 2.0 * busy_share[2] / busy_share[1] * core_s[1] / core_s[2]
     print(
-        f"\n{LOGS} logs of 30 s, severity and fit, start and end of the workers included: one {seconds[1]:.1f} s, two "
+        f"\n{LOGS} logs of 60 s, severity and fit, start and end of the workers included: one {seconds[1]:.1f} s, two "
         f"{seconds[2]:.1f} s, ratio {wall:.2f} (asked {LEAST_RATIO:g}); busy {busy_share[1]:.2f} and "
         f"{busy_share[2]:.2f} of the time, {core_s[1]:.1f} and {core_s[2]:.1f} s of a core, so {ratio:.2f} on cores of "
         f"their own; each core is shared by {crowd:.2f}"
