@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ REMEDY_TEXT = "name the field in the pattern of the logs, such as 'archive/{mach
 class RigSource:
     """A rig file as workers get it: they need not reach the file.
 
-    path : as it was given; "" where there is none. base : folder that paths in it start from. digest : of its text and
+    path : absolute; "" where there is none. base : folder that paths in it start from. digest : of its text and
     its Python files. name : of the rig. problem : why it cannot be used; "" if it can.
     """
 
@@ -115,12 +116,12 @@ def _form(pattern: str) -> re.Pattern[str]:
 
 
 def read_rig(path: str) -> RigSource:
-    """A rig file, checked. Raises ConfigError as `load_rig`."""
+    """A rig file, checked; the same one is known again from wherever it is named. Raises ConfigError as `load_rig`."""
     rig = load_rig(path)
     check_laws(rig, Path(path))
     digest = hashlib.sha256(repr(sorted(rig.attachments().items())).encode()).hexdigest()
-    base = str(Path(path).parent.absolute())
-    return RigSource(path=path, base=base, text=rig.text, digest=digest, name=rig.model.name)
+    whole = os.path.abspath(path)
+    return RigSource(path=whole, base=os.path.dirname(whole), text=rig.text, digest=digest, name=rig.model.name)
 
 
 def _unusable(path: str, problem: str) -> RigSource:
@@ -180,5 +181,5 @@ class RigsByField:
             try:
                 self._rigs[path] = read_rig(path)
             except (ConfigError, LogError) as error:
-                self._rigs[path] = _unusable(path, str(error).splitlines()[0])
+                self._rigs[path] = _unusable(os.path.abspath(path), str(error).splitlines()[0])
         return self._rigs[path]

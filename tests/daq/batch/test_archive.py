@@ -48,8 +48,9 @@ def test_the_stamp_changes_with_the_file(archive: Path) -> None:
 
 def test_fields_of_the_pattern_choose_the_rig_file(archive: Path) -> None:
     logs = find_logs(["archive/{machine}/**/{machine}-{part}.mcap"], RigsByField("rigs/{machine}.toml"))
+    rigs = archive / "rigs"
     assert [(log.machine, log.rig.path) for log in logs] == [
-        ("fan2/a", "rigs/fan2.toml"), ("new/a", "rigs/new.toml"), ("pump7/a", "rigs/pump7.toml"),
+        ("fan2/a", str(rigs / "fan2.toml")), ("new/a", str(rigs / "new.toml")), ("pump7/a", str(rigs / "pump7.toml")),
     ]  # fmt: skip
     assert [bool(log.rig.problem) for log in logs] == [False, True, False]
     assert "no such rig file" in logs[1].rig.problem
@@ -57,8 +58,9 @@ def test_fields_of_the_pattern_choose_the_rig_file(archive: Path) -> None:
 
 def test_a_field_that_no_pattern_names_is_a_folder_with_a_rig_file(archive: Path) -> None:
     logs = find_logs(["archive/**/*.mcap"], RigsByField("rigs/{machine}.toml"))
+    rigs = archive / "rigs"
     assert [(log.machine, log.rig.path) for log in logs] == [
-        ("fan2", "rigs/fan2.toml"), ("", ""), ("pump7", "rigs/pump7.toml"),
+        ("fan2", str(rigs / "fan2.toml")), ("", ""), ("pump7", str(rigs / "pump7.toml")),
     ]  # fmt: skip
     assert "add it, or name the field" in logs[1].rig.problem
 
@@ -73,5 +75,6 @@ def test_two_rig_files_that_fit_are_refused(archive: Path) -> None:
 
 def test_the_digest_of_a_rig_changes_with_its_text(archive: Path) -> None:
     before = read_rig("rigs/fan2.toml").digest
+    assert read_rig(str(archive / "rigs" / "fan2.toml")) == read_rig("./rigs/fan2.toml")
     (archive / "rigs/fan2.toml").write_text(ONE_CAP.read_text() + "# a remark\n")
     assert read_rig("rigs/fan2.toml").digest != before
