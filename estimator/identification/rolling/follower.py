@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,26 +33,9 @@ MIN_PIECES = 10.0  # for their scatter
 THE_FOLD = np.zeros(1, np.int64)  # the only fold of a memory
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
-    """The path likelihood of a memory. gram : one fold. blocks : (1,) weighted number of blocks. prior : (k,)."""
-
-    gram: Gram
-    jacobian: Jacobian
-    blocks: Array
-    prior: Array
-
-    def fit(self, start: Array, steps: int) -> PathFit:
-        """The maximum over the increments, from a start (k,), scaled; the covariance is without prior information."""
-        found = fit_increments(self.gram, self.jacobian, THE_FOLD, self.blocks, start, self.prior, steps)
-        if not self.prior.any():
-            return found
-        H = slope_and_curvature(self.gram, self.jacobian, THE_FOLD, self.blocks, found.delta)[2]
-        return replace(found, covariance=information_inverse(H))
-
-
-def problem_of(anchor: Anchor, memory: Memory, names: int) -> Problem:
-    """The likelihood of a memory in the first `names` parameters."""
+def problem_of(anchor: Anchor, memory: Memory, names: int) -> tuple[Gram, Jacobian, Array]:
+    """The likelihood of a memory in the first `names` parameters: Gram matrices of one fold, determinant, and weighted
+    number of blocks (1,)."""
     K = names
     tangents, share = memory.tangents[:K] / memory.n, memory.kept / memory.n
     jacobian, responses = anchor.problem(memory.mean_tangent / memory.n, tangents, share)
@@ -62,8 +45,7 @@ def problem_of(anchor: Anchor, memory: Memory, names: int) -> Problem:
         G=memory.gram.sum(axis=0)[:, None, : 1 + K, : 1 + K], n=n, log_weight=np.zeros((P, 1)), tangents=responses,
         scales=anchor.scales[:K], names=anchor.names[:K], units=anchor.units[:K],
     )  # fmt: skip
-    prior = np.concatenate([anchor.prior, np.zeros(K)])[:K]
-    return Problem(gram=gram, jacobian=jacobian, blocks=np.array([memory.n]), prior=prior)
+    return gram, jacobian, np.array([memory.n])
 
 
 def _with_values(use: LocatedLaw, values: Mapping[str, float]) -> LocatedLaw:
@@ -133,17 +115,22 @@ class Follower:
 
     def _renew(self) -> None:
         """Make the maximum on the slow memory the estimate: by one Newton step, or by several if that is long."""
-        problem = problem_of(self.anchor, self.slow, self.anchor.own)
+        anchor = self.anchor
+        gram, jacobian, blocks = problem_of(anchor, self.slow, anchor.own)
         steps = MAX_STEPS if self.fit is None else 1
-        fit = problem.fit(self.delta, steps)
+        fit = fit_increments(gram, jacobian, THE_FOLD, blocks, self.delta, anchor.prior, steps)
         far = np.abs(fit.delta - self.delta) > MAX_NEWTON_SD * np.sqrt(np.diag(fit.covariance))
-        fit = problem.fit(fit.delta, MAX_STEPS) if steps == 1 and far.any() else fit
+        if steps == 1 and far.any():
+            fit = fit_increments(gram, jacobian, THE_FOLD, blocks, fit.delta, anchor.prior, MAX_STEPS)
+        if anchor.prior.any():  # the covariance is without prior information
+            H = slope_and_curvature(gram, jacobian, THE_FOLD, blocks, fit.delta)[2]
+            fit = replace(fit, covariance=information_inverse(H))
         self.fit, self.delta = fit, fit.delta
-        self._slope = self._slopes(problem, fit.delta)
+        self._slope = self._slopes(gram, jacobian)
 
-    def _slopes(self, problem: Problem, delta: Array) -> tuple[Array, Array]:
+    def _slopes(self, gram: Gram, jacobian: Jacobian) -> tuple[Array, Array]:
         """Slopes of the determinant of a block by the increments (k,) and by the mean tangents (places, places, 2)."""
-        slope, by_matrix = problem.jacobian.slopes(problem.gram.tangents, delta)
+        slope, by_matrix = jacobian.slopes(gram.tangents, self.delta)
         P = len(by_matrix)
         by_x, by_v = (self.anchor.response(np.broadcast_to(one, (P, P, 2))) for one in np.eye(2))
         return slope, np.stack([(by_matrix * one).real.sum(axis=2) for one in (by_x, by_v)], axis=-1)

@@ -68,14 +68,14 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
     own, every = anchor.own, len(anchor.names)
     if own == every or memory.n < MIN_BLOCKS:
         return None
-    wide = problem_of(anchor, memory, every)
+    wide, jacobian, blocks = problem_of(anchor, memory, every)
     delta = np.concatenate([follower.delta, np.zeros(every - own)])
-    g, _, H = slope_and_curvature(wide.gram, wide.jacobian, THE_FOLD, wide.blocks, delta)
+    g, _, H = slope_and_curvature(wide, jacobian, THE_FOLD, blocks, delta)
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     H, g = H * np.multiply.outer(scale, scale), g * scale
     follow = -_pseudo_inverse(H[:own, :own]) @ H[:own, own:]  # change of own parameters per change of a candidate's
     H, g = H[own:, own:] + H[own:, :own] @ follow, g[own:] + follow.T @ g[:own]
-    gram, redundancy = wide.gram.G[:, 0, 1:, 1:], memory.n2 / memory.n
+    gram, redundancy = wide.G[:, 0, 1:, 1:], memory.n2 / memory.n
     linear = sum(
         (anchor.value_of[name] / anchor.scales[k]) ** 2 * float(gram[:, k, k].sum())
         for k, name in enumerate(anchor.names[:own]) if name.endswith(".kL")
