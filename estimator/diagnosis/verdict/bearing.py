@@ -141,7 +141,7 @@ def judge_bearing(
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
-    named = [e for e in entries if e.passed]
+    named = [e for e in entries if e.passed and not _is_overshadowed(e, entries)]
     if named and (better := _better_predicting(entries, named[0], context)) is not None:
         named.insert(0, better)
     if not (named and named[0].placed):
@@ -219,6 +219,12 @@ def _better_predicting(entries: Sequence[Entry], named: Entry, context: Context)
     if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not np.isfinite(gain(named)):
         return None
     return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
+
+
+def _is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:
+    """Whether a law that was refused explains more than twice the force: something larger is missing, unknown."""
+    least = named.force_explained_percent / THRESHOLDS.same_force_min_rel
+    return named.placed != () and any(e.force_explained_percent > least and _left(e) is not None for e in entries)
 
 
 def _more_missing(named: Entry) -> Sequence[Message]:
