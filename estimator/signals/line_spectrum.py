@@ -21,6 +21,7 @@ NOISE_REACH_BINS, NOISE_STRIDE_BINS = 240, 4  # neighbours on either side for th
 MIN_NOISE_REACH_BINS = 30  # neighbours on either side near 0 Hz, all used
 LINE_REACH_BINS = 20  # neighbours on either side among which a line has to dominate
 MIN_FORCE_HZ, BINS_PER_CHUNK = 2.0, 1 << 16  # no residual force below; bins processed at a time
+MIN_FORCE_POWER_REL = 1e-12  # of the largest, of a measured force: below it rounding of sums is all there is
 OUTLIER_POWER_RATIO = 6.0  # power over the local noise above which a bin counts less in the local noise
 MIN_LINE_POWER_SHARE = 0.45  # of the power above the noise that has the shape of a line
 
@@ -172,7 +173,8 @@ def residual_spectrum(
         R[i, F.size - 1] = 0.0
         PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS), 1e-300) for z in (R[i], F))
         weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / OUTLIER_POWER_RATIO, 1.0)
-        proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(_smooth(weight * np.abs(F) ** 2), 1e-300)
+        power = _smooth(weight * np.abs(F) ** 2)
+        proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(power, MIN_FORCE_POWER_REL * power.max())
         R[i] -= np.where(s.f_hz > MIN_FORCE_HZ, proportion * F, 0.0)
         uneasy[i] += np.abs(F) ** 2 / PF / (2 * NOISE_REACH_BINS)
     out = _spectrum(np.asarray(irfft(R, n, axis=1), dtype=np.float32), ("force",) * P, s.model, s.rate_hz, s.phase)
