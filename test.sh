@@ -11,4 +11,4 @@ export PATH="$PWD/$venv/bin:$PATH"
 ruff check .
 mypy
 lint-imports
-pytest -n 2 --dist loadfile "$@"
+pytest -n 3 --dist loadfile "$@"  # of three workers on two cores one waits for a device or a process

@@ -232,9 +232,7 @@ def _more_missing(named: Entry) -> Sequence[Message]:
     if named.passed:
         return ()
     left = f"{100 * (_left(named) or 0.0):.0f} %"
-    return (
-        Message("leaves_more", f"{named.effect} predicts better than any other law, but leaves {left} of the force"),
-    )
+    return (Message("leaves_more", f"{named.effect} predicts best, but leaves {left} of the missing force"),)
 
 
 def _left(entry: Entry) -> float | None:

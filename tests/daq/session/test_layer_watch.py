@@ -98,7 +98,7 @@ def strikes_from(second: float, seconds: float, rate_hz: float) -> NDArray[np.in
 def test_a_strike_train_is_flagged_within_20_s_of_its_beginning_and_once() -> None:
     rate_hz, begins = 5120.0, 13.0
     info = Info((Signal("a", "m/s^2", 1e-2, 0.0),), rate_hz)
-    found = notices(strikes_from(begins, 40.0, rate_hz), rig=BEARING_RIG, info=info)
+    found = notices(strikes_from(begins, 30.0, rate_hz), rig=BEARING_RIG, info=info)
     (flagged,) = (n for n in found if n.code == STRIKES_FOUND)
     assert flagged.level == "warning"
     assert flagged.text.startswith("BPFO strikes: order 3.58")
