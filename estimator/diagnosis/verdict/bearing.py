@@ -216,7 +216,8 @@ def _better_predicting(entries: Sequence[Entry], named: Entry, context: Context)
 
     first, *others = sorted(entries, key=gain, reverse=True)
     left = _left(first)
-    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not np.isfinite(gain(named)):
+    falls = first.after_percent < first.before_percent
+    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not falls or not np.isfinite(gain(named)):
         return None
     return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
 
