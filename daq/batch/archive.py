@@ -74,7 +74,7 @@ def _files(pattern: str) -> Iterator[tuple[str, str, dict[str, str]]]:
 
     try:
         system, path = fsspec.core.url_to_fs(pattern)
-        local = "file" in ((system.protocol,) if isinstance(system.protocol, str) else system.protocol)
+        local = is_local(system)
         if system.isfile(path):
             listed = {path: system.info(path)}
         else:
@@ -88,6 +88,11 @@ def _files(pattern: str) -> Iterator[tuple[str, str, dict[str, str]]]:
             match = form.fullmatch(name)
             fields = {} if match is None or match.re.groups == 0 else match.groupdict()
             yield name if local else system.unstrip_protocol(name), _stamp(about), fields
+
+
+def is_local(system: Any) -> bool:
+    """Whether a file system of fsspec is that of this computer."""
+    return "file" in ((system.protocol,) if isinstance(system.protocol, str) else system.protocol)
 
 
 def _stamp(about: dict[str, Any]) -> str:

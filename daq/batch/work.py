@@ -23,6 +23,7 @@ from daq.log.reader import read_log
 from daq.rig.rig import Rig
 from estimator.errors import DataError
 
+from .archive import is_local
 from .rows import rows_of
 from .task import BYTES_PER_MB, WINDOWS_TASK, Task, memory_bytes
 
@@ -151,7 +152,7 @@ def local(url: str, stamp: str) -> Iterator[Path]:
     import fsspec
 
     system, path = fsspec.core.url_to_fs(url)
-    if "file" in ((system.protocol,) if isinstance(system.protocol, str) else system.protocol):
+    if is_local(system):
         yield Path(path)
         return
     name = f"{url} {stamp}"

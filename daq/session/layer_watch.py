@@ -79,10 +79,7 @@ class LayerWatch:
 
     def health(self) -> SinkHealth:
         pending = self._thread is not None and self._thread.is_alive()  # asked first: it speaks before it ends
-        out = []
-        while self._notices:
-            out.append(self._notices.popleft())
-        return SinkHealth(0.0, 0, tuple(out), pending)
+        return SinkHealth.of_notices(self._notices, pending)
 
     def _begin(self, info: Info) -> None:
         self._info, self._next = info, None

@@ -96,10 +96,7 @@ class TrendStore:
         self._hand_on(rows)
 
     def health(self) -> SinkHealth:
-        out = []
-        while self._notices:
-            out.append(self._notices.popleft())
-        return SinkHealth(0.0, 0, tuple(out))
+        return SinkHealth.of_notices(self._notices)
 
     def close(self) -> None:
         if self._estimate is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Protocol, runtime_checkable
@@ -81,6 +82,14 @@ class SinkHealth:
     dropped: int
     notices: tuple[Notice, ...] = ()
     pending: bool = False
+
+    @classmethod
+    def of_notices(cls, waiting: deque[Notice], pending: bool = False) -> SinkHealth:
+        """The health of a sink that holds no samples back. waiting : its notices, taken out; threads may add more."""
+        out = []
+        while waiting:
+            out.append(waiting.popleft())
+        return cls(0.0, 0, tuple(out), pending)
 
 
 @runtime_checkable

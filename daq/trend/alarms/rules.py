@@ -49,29 +49,43 @@ class Rule(Protocol):
         ...
 
 
-class LimitRule:
+class Hold:
+    """The state of an alarm whose condition has to last. hold_s : for how long, of the data."""
+
+    def __init__(self, hold_s: float) -> None:
+        self.state: State = "ok"
+        self._hold_s = hold_s
+        self._since_s: float | None = None
+
+    def changes(self, holds: bool, time_s: float) -> bool:
+        """Whether the state changes. holds : whether the condition of the alarm holds at this time."""
+        if holds == (self.state == "alarm"):
+            self._since_s = None
+            return False
+        self._since_s = time_s if self._since_s is None else self._since_s
+        if time_s - self._since_s < self._hold_s:
+            return False
+        self._since_s, self.state = None, "alarm" if holds else "ok"
+        return True
+
+
+class LimitRule(Hold):
     """Beyond a limit for `hold_s`. Where a value has a standard deviation, by as many of them as the rate asks for.
 
     A value that sits at the limit is then beyond it in one of `per_s / hold_s` looks.
     """
 
     def __init__(self, table: AlarmTable, limit: float) -> None:
-        self.state: State = "ok"
+        super().__init__(table.hold_s)
         self._table, self._limit = table, limit
         looks = max(2.0, table.per_s / max(table.hold_s, MEAN_S))
         self._margin_sd = float(-ndtri(1.0 / looks))
-        self._since_s: float | None = None
 
     def take(self, value: Value) -> str | None:
         below, margin = self._table.below, self._margin_sd * (value.sd or 0.0)
         beyond = value.value < self._limit - margin if below else value.value > self._limit + margin
-        if beyond == (self.state == "alarm"):
-            self._since_s = None
+        if not self.changes(beyond, value.time_s):
             return None
-        self._since_s = value.time_s if self._since_s is None else self._since_s
-        if value.time_s - self._since_s < self._table.hold_s:
-            return None
-        self._since_s, self.state = None, "alarm" if beyond else "ok"
         where = ("below" if below else "above") if beyond else "back from"
         held = f" for {self._table.hold_s:g} s" if self._table.hold_s else ""
         return f"{shown(value)}, {where} {shown_number(self._limit, value.unit)}{held}"
@@ -82,23 +96,17 @@ class LimitRule:
     def restore(self, saved: Mapping[str, Any]) -> None: ...
 
 
-class StrikesRule:
+class StrikesRule(Hold):
     """A train of a name is seen for `hold_s`, each time so clearly that noise shows one as rarely as is accepted."""
 
     def __init__(self, table: AlarmTable, window_s: float) -> None:
-        self.state: State = "ok"
+        super().__init__(table.hold_s)
         self._table, self._window_s = table, window_s
-        self._since_s: float | None = None
 
     def take(self, value: Value) -> str | None:
         seen = value.p_value <= self._window_s / self._table.per_s and value.value > 0
-        if seen == (self.state == "alarm"):
-            self._since_s = None
+        if not self.changes(seen, value.time_s):
             return None
-        self._since_s = value.time_s if self._since_s is None else self._since_s
-        if value.time_s - self._since_s < self._table.hold_s:
-            return None
-        self._since_s, self.state = None, "alarm" if seen else "ok"
         held = f"{self._table.hold_s:g} s"
         return f"seen for {held}, severity {number(value.value)}" if seen else f"not seen for {held}"
 

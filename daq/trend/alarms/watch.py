@@ -109,10 +109,7 @@ class AlarmWatch:
             self._save()
 
     def health(self) -> SinkHealth:
-        out = []
-        while self._notices:
-            out.append(self._notices.popleft())
-        return SinkHealth(0.0, 0, tuple(out))
+        return SinkHealth.of_notices(self._notices)
 
     def close(self) -> None:
         if self._saving is not None:
