@@ -17,6 +17,7 @@ from estimator.identification.structure.background_search import (
     MAX_MISFIT,
     MIN_GAIN_NATS,
     backgrounds,
+    caps_by_direction,
     force_dispersion,
     measured_spectra,
     search_background,
@@ -67,8 +68,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
     data = apart.data
     ln_mass: dict[str, tuple[float, float]] = {}
     at: dict[str, BearingBackground] = {}
-    for direction in dict.fromkeys(place[-1] for place in data.places):
-        own = tuple(i for i, place in enumerate(data.places) if place.endswith(direction))
+    for own in caps_by_direction(data.places):
         loose = tuple(cap for cap, i in enumerate(own) if data.places[i] in unknown)
         problem = spectral_problem(model, apart, measured_spectra(model, apart, own), loose=loose)
         best = _likeliest(model, problem, apart)

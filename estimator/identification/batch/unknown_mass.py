@@ -27,7 +27,7 @@ from estimator.signals.channel_response import measured_force_places
 from .grid_start import fit_record
 from .shaft_scale import shaft_scale
 
-MAX_LAST_STEP_SD = 1.0  # of a fit, standard deviations: with a larger one the fit has gone astray
+MAX_ASTRAY_STEP_SD = 1.0  # last step of a fit, standard deviations: with a larger one the fit has gone astray
 MAX_DEPARTURE_SD = 4.0  # of a fitted mass from that of the spectra
 NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
@@ -69,7 +69,7 @@ def _refined_masses(
     except (DataError, NotFiniteError, np.linalg.LinAlgError):
         return dict(found)
     fitted = fitted_parameters(point)
-    if min(*point.kL, *point.c) <= 0.0 or last_step_sd(point) > MAX_LAST_STEP_SD:
+    if min(*point.kL, *point.c) <= 0.0 or last_step_sd(point) > MAX_ASTRAY_STEP_SD:
         return dict(found)
     return {name: _agreed(q, fitted[name]) for name, q in found.items()}
 

@@ -6,7 +6,7 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,10 +58,15 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     if model.background is None and spectra_are_explained(model, point):
         return None
     at: dict[str, BearingBackground] = {}
-    for direction in dict.fromkeys(place[-1] for place in data.places):
-        places = tuple(i for i, place in enumerate(data.places) if place.endswith(direction))
+    for places in caps_by_direction(data.places):
         at |= _of_direction(model, point, places)
     return Background(at=at) if at else None
+
+
+def caps_by_direction(places: Sequence[str]) -> list[tuple[int, ...]]:
+    """Indices of the places of each direction, such as "bearing1.x" and "bearing2.x": these caps respond together."""
+    directions = dict.fromkeys(place[-1] for place in places)
+    return [tuple(i for i, place in enumerate(places) if place[-1] == direction) for direction in directions]
 
 
 def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> dict[str, BearingBackground]:
@@ -113,13 +118,13 @@ def spectral_problem(
     tangents_of = own if channel_of is None else [channel_of[i] for i in own]
     s = 2j * np.pi * spectra.f_hz
     across = point.mean_tangent[own][:, own] * (1.0 - np.eye(len(own)))[..., None]
-    Z0 = _shaft_and_masses(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
+    shaft = _shaft_at(model, point, own, spectra.f_hz)
+    Z0 = shaft - _inertia(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
     laws = _law_response(point, spectra.f_hz)[:, tangents_of]
     shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
     mass = cap_masses(model, point)[own]
     _, c = sound_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
-    shaft = shaft_response(model, data.places, spectra.f_hz)[:, own][:, :, own]
     return JointSpectrum(
         spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
     )  # fmt: skip
@@ -137,18 +142,21 @@ def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int
     D = point.mean_tangent[own][:, own]
     bearings = D[..., 0] + s[:, None, None] * D[..., 1]
     np.einsum("fii->fi", bearings)[...] = point.kL[own] + s[:, None] * point.c[own] + _law_response(point, f_hz)[:, own]
-    Z = _shaft_and_masses(model, point, own, f_hz)
+    Z = _shaft_at(model, point, own, f_hz) - _inertia(model, point, own, f_hz)
     if data.background is not None:
         bearings *= data.background.deflections(data.places, s)[:, None, own]
         np.einsum("fii->fi", Z)[...] += data.background.attached_stiffness(data.places, s)[:, own]
     return np.asarray((s * s)[:, None, None] * np.linalg.inv(Z + bearings), np.complex128)
 
 
-def _shaft_and_masses(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
-    """(f, caps, caps) N/m, dynamic stiffness of shaft, disc and cap masses at some places."""
-    shaft = shaft_response(model, point.data.places, f_hz)[:, own][:, :, own]
-    inertia = ((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(cap_masses(model, point)[own])
-    return np.asarray(shaft - inertia, np.complex128)
+def _shaft_at(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
+    """(f, caps, caps) N/m, dynamic stiffness of shaft and disc at some places."""
+    return np.asarray(shaft_response(model, point.data.places, f_hz)[:, own][:, :, own], np.complex128)
+
+
+def _inertia(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Array:
+    """(f, caps, caps) N/m, inertia force of the caps at some places per displacement."""
+    return np.asarray(((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(cap_masses(model, point)[own]), np.float64)
 
 
 def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:

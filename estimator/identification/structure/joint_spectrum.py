@@ -220,19 +220,20 @@ class JointSpectrum:
 
         The derivative by a stiffness dz is that times dz and its conjugate transpose.
         """
-        pulled, w2, rows = point.W @ point.T, -(point.s**2)[:, None, None], self._signal_rows(point)
-        return [pulled[:, :, i, None] / w2 * rows[:, i, None, :] for i in range(self.mass.size)]
+        columns, rows = self._response_ends(point)
+        return [columns[:, :, i, None] * rows[:, i, None, :] for i in range(self.mass.size)]
 
-    def _signal_rows(self, point: JointPoint) -> Complexes:
-        """(cells, caps, caps) the signal, whitened from the right."""
-        return np.asarray(np.einsum("fij,fkj->fki", point.W.conj(), point.signal), np.complex128)
+    def _response_ends(self, point: JointPoint) -> tuple[Complexes, Complexes]:
+        """(cells, caps, caps) twice: whitened response to a force at each cap, and whitened signal of each cap."""
+        columns = point.W @ point.T / -(point.s**2)[:, None, None]
+        return columns, np.asarray(np.einsum("fij,fkj->fki", point.W.conj(), point.signal), np.complex128)
 
     def _by_mass(self, point: JointPoint) -> Iterator[Complexes]:
         """(cells, caps, caps) by loose cap: derivative of whitened Sigma by the logarithm of its mass."""
-        pulled, w2, rows = point.W @ point.T, -(point.s**2)[:, None, None], self._signal_rows(point)
+        columns, rows = self._response_ends(point)
         for cap, heavier in zip(self.loose, point.values.heavier.tolist(), strict=True):
             carried = np.einsum("fj,fjk->fk", -np.exp(-heavier) * self.shaft[:, cap], rows)
-            half = pulled[:, :, cap, None] / w2 * carried[:, None, :]
+            half = columns[:, :, cap, None] * carried[:, None, :]
             yield np.asarray(half + half.conj().swapaxes(1, 2))
 
     def derivatives(self, point: JointPoint) -> Complexes:
@@ -253,7 +254,8 @@ class JointSpectrum:
 
         out += [by(i, series[:, i] * np.exp(values.stiffness[i])) for i in caps]
         out += [by(i, series[:, i] * s * np.exp(values.damping[i])) for i in caps]
-        out += self._by_mass(point)
+        if self.loose:
+            out += self._by_mass(point)
         for cap, mode in self.modes(values):
             damp, den = mode.damping_term(s), mode.denominator(s)
             d_frequency = damp + 2.0 * mode.w0**2

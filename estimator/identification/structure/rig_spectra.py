@@ -19,6 +19,7 @@ from estimator.model.rig import Model
 from .background_search import (
     MIN_GAIN_NATS,
     cap_masses,
+    caps_by_direction,
     force_dispersion,
     measured_spectra,
     search_background,
@@ -104,8 +105,7 @@ class RigSpectra:
         self._point = point
         self.places = point.data.places
         self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
-        by_direction = dict.fromkeys(place[-1] for place in self.places)
-        self._directions = [tuple(i for i, p in enumerate(self.places) if p[-1] == d) for d in by_direction]
+        self._directions = caps_by_direction(self.places)
         self.dispersion = force_dispersion(point)
 
     @property
