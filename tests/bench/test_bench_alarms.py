@@ -12,7 +12,7 @@ from daq.trend.alarms.sequential import Cusum, baseline_is_sure, learn
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(3600)]
 DAY_VALUES, MONTH_VALUES = 1440, 43_830  # one value a minute
-MONTHS = 200
+SIMULATED_MONTHS = 200
 WITHIN_RATIO = 1.5  # of the accepted rate
 MEAN, DRIFT_VALUES = 1e7, 60.0  # N/m; minutes in which the drift comes back
 SD_PERCENT = 0.4  # of a mean over a minute: kL of the demo's rig in ten seconds has 0.2 %
@@ -47,14 +47,14 @@ def test_false_alarms_are_as_many_as_were_accepted(kind: str, change: float) -> 
     """change 0.5 % is about the standard deviation of a value: the test has to add up; 2 % is five of them."""
     rng = np.random.default_rng([int(1000 * change), kind == "white"])
     alarms, days = 0, []
-    for _ in range(MONTHS):
+    for _ in range(SIMULATED_MONTHS):
         test, learned, month = watched(kind, change, rng)
         days.append(learned)
         for value in month.tolist():
             if test.update(value):
                 alarms += 1
                 test.reset()
-    rate = alarms / MONTHS
+    rate = alarms / SIMULATED_MONTHS
     print(f"\n{kind}, change {100 * change:g} %: {rate:.2f} false alarms a month (accepted 1), "
           f"learned in {np.mean(days):.1f} days, k {test.reference:.2f}, h {test.threshold:.2f}")  # fmt: skip
     assert rate < WITHIN_RATIO

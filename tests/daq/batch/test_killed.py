@@ -20,25 +20,25 @@ from promises import PATIENCE_S
 
 from daq.commands.cli.app import main
 
-ROOT = Path(__file__).parents[3]
-RIG = ROOT / "tests" / "data" / "one_cap.toml"
-TABLES = ("runs", "parameters", "verdicts", "severity")
-LOGS = 16
-ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+REPOSITORY_FOLDER = Path(__file__).parents[3]
+RIG_FILE = REPOSITORY_FOLDER / "tests" / "data" / "one_cap.toml"
+TABLE_NAMES = ("runs", "parameters", "verdicts", "severity")
+LOG_COUNT = 16
+ONE_THREAD_ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(REPOSITORY_FOLDER)}
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 
 def started(*arguments: str, folder: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", *arguments]
     return subprocess.Popen(
-        command, cwd=folder, env=ENVIRONMENT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        command, cwd=folder, env=ONE_THREAD_ENVIRONMENT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
 
 
 def batch(
     folder: Path, out: str, *more: str, do: str = "severity,fit", logs: str = "*"
 ) -> subprocess.Popen[str]:  # fmt: skip
-    common = ("--rig", str(RIG), "--do", do, "--out", out)
+    common = ("--rig", str(RIG_FILE), "--do", do, "--out", out)
     return started("daq", "batch", f"logs/{logs}.mcap", *common, *more, folder=folder)
 
 
@@ -89,18 +89,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("archive")
     (folder / "logs").mkdir()
     first = folder / "logs" / "log00.mcap"
-    assert main(["simulate", str(RIG), "--out", str(first), "--seconds", "60", "--speed", "max", "--quiet"]) == 0
-    for k in range(1, LOGS):
+    assert main(["simulate", str(RIG_FILE), "--out", str(first), "--seconds", "60", "--speed", "max", "--quiet"]) == 0
+    for k in range(1, LOG_COUNT):
         shutil.copy(first, folder / "logs" / f"log{k:02d}.mcap")
     (folder / "logs" / "log99.mcap").write_bytes(first.read_bytes()[:100])
     status, said = ended(batch(folder, "whole"))
     assert status == 0, said
-    assert [r["status"] for r in table(folder / "whole", "runs")].count("done") == 2 * LOGS
+    assert [r["status"] for r in table(folder / "whole", "runs")].count("done") == 2 * LOG_COUNT
     return folder
 
 
 def same(folder: Path, out: str) -> None:
-    for name in TABLES:
+    for name in TABLE_NAMES:
         assert table(folder / out, name) == table(folder / "whole", name), name
 
 
@@ -125,7 +125,7 @@ def test_the_scheduler_is_killed(folder: Path) -> None:
     assert "the scheduler is gone" in said
     assert said.count("\n") == 1
     kept = len(table(folder / "scheduler", "runs"))
-    assert 0 < kept < 2 * LOGS
+    assert 0 < kept < 2 * LOG_COUNT
     with cluster(folder) as (address, _, _):
         status, said = ended(batch(folder, "scheduler", "--scheduler", address))
     assert status == 0, said
@@ -140,7 +140,7 @@ def test_the_command_is_killed_and_takes_its_workers_along(folder: Path) -> None
     process.kill()
     process.communicate(timeout=PATIENCE_S)
     wait_for(lambda: not any(worker.is_running() for worker in workers))
-    assert not (folder / "command" / "runs.parquet").exists() or len(table(folder / "command", "runs")) < 2 * LOGS
+    assert not (folder / "command" / "runs.parquet").exists() or len(table(folder / "command", "runs")) < 2 * LOG_COUNT
     status, said = ended(batch(folder, "command", "--scheduler", "local:2"))
     assert status == 0, said
     assert " 0 there already" not in said
@@ -189,7 +189,7 @@ def test_a_task_that_ends_its_worker_is_a_row(folder: Path, tmp_path: Path) -> N
         "import multiprocessing, os\nfrom estimator import CATALOGUE\n"
         "LAW = CATALOGUE['cubic']\nif multiprocessing.parent_process() is not None:\n    os._exit(9)\n"
     )
-    text = RIG.read_text("utf-8") + '[[model.custom]]\nname = "law"\nmodule = "law.py:LAW"\nat = ["bearing1"]\n'
+    text = RIG_FILE.read_text("utf-8") + '[[model.custom]]\nname = "law"\nmodule = "law.py:LAW"\nat = ["bearing1"]\n'
     (tmp_path / "rig.toml").write_text(text)
     command = ("logs/log00.mcap", "--rig", str(tmp_path / "rig.toml"), "--do", "severity", "--out", "ends")
     status, said = ended(started("daq", "batch", *command, "--scheduler", "local:1", folder=folder))

@@ -10,8 +10,8 @@ from daq.base.contract.errors import ConfigError
 from daq.batch.archive import LogSource, RigSource
 from daq.batch.task import Task, Windows, analyses, memory_bytes
 
-RIG = RigSource(path="rig.toml", digest="0")
-TASK = Task(log=LogSource(url="/a.mcap", stamp="1", machine="", rig=RIG), name="fit", version="1")
+RIG_SOURCE = RigSource(path="rig.toml", digest="0")
+FIT_TASK = Task(log=LogSource(url="/a.mcap", stamp="1", machine="", rig=RIG_SOURCE), name="fit", version="1")
 
 
 def test_windows_lie_wholly_within_a_log() -> None:
@@ -22,7 +22,7 @@ def test_windows_lie_wholly_within_a_log() -> None:
     assert windows.starts(59.0) == []
     assert Windows.asked("1.5min", None) == Windows(length_s=90.0, every_s=90.0)
     assert Windows.asked(None, None) is None
-    cut = TASK.windows(windows, 3661.0, ["fit", "compare"])
+    cut = FIT_TASK.windows(windows, 3661.0, ["fit", "compare"])
     assert [(t.name, t.from_s, t.seconds) for t in cut] == [
         ("fit", 0.0, 60.0), ("compare", 0.0, 60.0), ("fit", 3600.0, 60.0), ("compare", 3600.0, 60.0),
     ]  # fmt: skip
@@ -40,14 +40,14 @@ def test_windows_that_are_none_are_refused(window: str | None, every: str | None
 
 def test_the_key_changes_with_log_rig_task_window_and_version() -> None:
     others = [
-        replace(TASK, log=replace(TASK.log, stamp="2")),
-        replace(TASK, log=replace(TASK.log, rig=replace(RIG, digest="1"))),
-        replace(TASK, name="compare"),
-        replace(TASK, from_s=0.0, seconds=60.0),
-        replace(TASK, version="2"),
+        replace(FIT_TASK, log=replace(FIT_TASK.log, stamp="2")),
+        replace(FIT_TASK, log=replace(FIT_TASK.log, rig=replace(RIG_SOURCE, digest="1"))),
+        replace(FIT_TASK, name="compare"),
+        replace(FIT_TASK, from_s=0.0, seconds=60.0),
+        replace(FIT_TASK, version="2"),
     ]
-    assert len({task.key for task in (TASK, *others)}) == 6
-    assert replace(TASK, log=replace(TASK.log, machine="other")).key == TASK.key
+    assert len({task.key for task in (FIT_TASK, *others)}) == 6
+    assert replace(FIT_TASK, log=replace(FIT_TASK.log, machine="other")).key == FIT_TASK.key
 
 
 def test_analyses_are_checked_and_ordered() -> None:

@@ -21,7 +21,7 @@ from daq.commands.cli.app import main
 from daq.trend.days import DayWriter, Row
 from daq.trend.series import read_trend
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS_FOLDER = Path(__file__).parents[3] / "docs"
 T0_NS, MINUTE_NS = 1_700_006_400 * 10**9, 60 * 10**9  # 2023-11-15, midnight
 MINUTES = 3 * 1440
 STARTED = datetime(2024, 3, 1, 12, tzinfo=UTC)
@@ -54,7 +54,7 @@ def test_table_json_and_page(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert main(["trend", str(folder), "--json", str(out), "--html", str(page)]) == 0
     text = capsys.readouterr().out
     value: dict[str, Any] = json.loads(out.read_text())
-    jsonschema.validate(value, json.loads((DOCS / "schemas" / "trend.json").read_text()))
+    jsonschema.validate(value, json.loads((DOCS_FOLDER / "schemas" / "trend.json").read_text()))
     stiffness = next(s for s in value["series"] if s["name"] == "bearing1.x.kL")
     assert stiffness["values"] == (MINUTES - 360) // 2
     assert stiffness["last"]["value"] == pytest.approx(9e6, rel=1e-3)
@@ -114,7 +114,7 @@ def test_results_of_an_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert re.search(r"bearing1.x.kL .*-27 %", out := capsys.readouterr().out)
     assert "said: cubic\n" in out
     value = json.loads((tmp_path / "t.json").read_text())
-    jsonschema.validate(value, json.loads((DOCS / "schemas" / "trend.json").read_text()))
+    jsonschema.validate(value, json.loads((DOCS_FOLDER / "schemas" / "trend.json").read_text()))
     assert value["from"] == "2024-03-01T12:00:00.000000Z"
     assert value["to"] == "2024-03-02T17:00:00.000000Z"
     assert {s["kind"] for s in value["series"]} == {"estimate", "severity", "missing_force"}
