@@ -139,7 +139,7 @@ class Fit:
         Log-likelihood in nats at the maximum; None where the method has no likelihood.
     samples : int
         Rows of the record that the fit rests on.
-    method : {"spectral", "fokker-planck", "score-matching", "volterra"}
+    method : {"spectral", "fokker-planck", "score-matching"}
         Estimator that was used.
     messages : tuple of Message
         Remarks: assumptions that the data contradict, parts of the record that were left out.

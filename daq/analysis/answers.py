@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from estimator.identification.record import ChannelSeverity, RecordSurvey
     from estimator.results import Fit
 
-Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
+Method = Literal["spectral", "fokker-planck", "score-matching"]
 MIN_MISSING_SHARE = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 
 

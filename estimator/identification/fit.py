@@ -13,7 +13,7 @@ from estimator.results import Fit
 from .judgeable import on_judgeable_record, survey_layers
 from .record import UsableRecord
 
-Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
+Method = Literal["spectral", "fokker-planck", "score-matching"]
 
 
 def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") -> Fit:
@@ -27,7 +27,7 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
         Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
     rate_hz : float
         Sampling rate, Hz.
-    method : {"spectral", "fokker-planck", "score-matching", "volterra"}
+    method : {"spectral", "fokker-planck", "score-matching"}
         ``spectral`` is the path likelihood of the force balance and the most precise. The others are the independent
         methods of the literature; they need white excitation and known masses.
 
@@ -85,16 +85,8 @@ def _score_matching(model: Model, y: Array, rate_hz: float) -> Fit:
     return score_matching.fit_score_matching(model, y, rate_hz)
 
 
-def _volterra(model: Model, y: Array, rate_hz: float) -> Fit:
-    """By the Volterra kernels of a measured force."""
-    from .moments import volterra
-
-    return volterra.fit_volterra(model, y, rate_hz)
-
-
 _FIT_METHODS: Mapping[str, Callable[[Model, Array, float], Fit]] = {
     "spectral": _spectral,
     "fokker-planck": _fokker_planck,
     "score-matching": _score_matching,
-    "volterra": _volterra,
 }

@@ -27,7 +27,6 @@ class Method(StrEnum):
     spectral = "spectral"
     fokker_planck = "fokker-planck"
     score_matching = "score-matching"
-    volterra = "volterra"
 
 
 @of_a_part

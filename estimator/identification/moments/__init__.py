@@ -1,4 +1,4 @@
-"""Independent methods of the literature: Fokker-Planck density, score matching, Volterra series."""
+"""Independent methods of the literature: Fokker-Planck density and score matching."""
 
 from .fokker_planck import Form, fokker_planck_parameters
 from .plane_moments import PlaneMoments
