@@ -1,13 +1,17 @@
 """Structural modes and the spectrum of the force, sought while samples arrive where the residual force is not white.
 
 A support and a part on the cap look alike, and kL depends on which it is. Where a record does not tell, chance decides:
-then the fits of its parts differ. They are made as the parts come, one at a time, as each takes seconds.
+then parts of the record differ. They are searched as they come, one at a time.
+
+A search may take a share of the time of a core. Its cost is counted in samples and derivatives, never by a clock: so a
+replay searches what the live session searched. A search that costs more is given up, and the next one is due when twice
+as much may be spent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,28 +19,46 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.structure.background_search import find_background
+from estimator.identification.structure.background_search import background_of_spectra
+from estimator.identification.structure.cross_spectra import SearchTooLongError, Work
+from estimator.identification.structure.spectral_shape import spectra_are_explained
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.prepare import motion_record
-from estimator.model.background import Background
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import corrected_record
 
 from .anchor import anchor_at
 from .follower import Follower
 from .report import is_coloured
-from .start import FirstFit, first_fit
+from .start import START_BLOCKS, FirstFit, first_record
 
 RECORD_S = 24.0  # of samples, in which a background is found
 BACKGROUND_PARTS = 4  # of them: each shows the background alone
 MAX_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
-MAX_PARTS_APART_REL = 0.07  # of kL: a mode of the wrong form moves it by 10 to 25 %, chance by 1 to 3 %
+MAX_PARTS_APART_REL = 0.07  # of the stiffness: a mode of the wrong form moves it by 10 to 25 %, chance by 1 to 3 %
 PAUSE_REL = 2  # all samples so far times this, until the next search
+MAX_CORE_SHARE = 0.05  # of one core, that searches take in the long run
+MAX_SEARCH_S = 8.0  # of a core, for one search
+SAMPLES_PER_S = 5e6  # of all channels that a core filters and transforms, about: a processor of 2020
+FITTED_SAMPLES_PER_S = 1e6  # the same with a fit
+DERIVATIVES_PER_S = 2e7  # of spectra, by parameters, that a core computes and multiplies
+SLOW_MACHINE = 4.0  # times as long as that a search may take, before an estimate waits for it
 
 
-Run = Callable[[Callable[[], FirstFit | None]], Callable[[], FirstFit | None]]
+@dataclass(slots=True)
+class Finding:
+    """What a search found. stiffness : N/m by place. first : the fit of the whole with it; None of a part."""
+
+    stiffness: Mapping[str, float]
+    first: FirstFit | None = None
 
 
-def in_line(search: Callable[[], FirstFit | None]) -> Callable[[], FirstFit | None]:
+Search = Callable[[], Finding | None]
+Run = Callable[[Search], Search]
+
+
+def in_line(search: Search) -> Search:
     """Run a search at once; the function that is returned gives its result."""
     found = search()
     return lambda: found
@@ -48,61 +70,111 @@ class BackgroundSearch:
     run : how a search is run. Its result is asked for at a fixed row later, however long it takes.
     """
 
-    def __init__(self, rate_hz: float, block: int, least_blocks: int, run: Run) -> None:
-        rows = min(max(int(RECORD_S * rate_hz), BACKGROUND_PARTS * least_blocks * block), MAX_ROWS) // block * block
-        self.rows = rows if rows >= BACKGROUND_PARTS * least_blocks * block else 0
+    def __init__(self, rate_hz: float, channels: int, block: int, run: Run) -> None:
+        least = BACKGROUND_PARTS * START_BLOCKS * block
+        rows = min(max(int(RECORD_S * rate_hz), least), MAX_ROWS) // block * block
+        self.rows = rows if rows >= least else 0
+        self._rate_hz, self._channels, self._block = rate_hz, channels, block
         self._part, self._next, self._run = rows // BACKGROUND_PARTS, rows // BACKGROUND_PARTS, run
-        self._stiffness: list[Array] = []  # (places,) N/m each, of the parts that show a background
-        self._search: Callable[[], FirstFit | None] | None = None  # that has begun
+        self._parts: list[Mapping[str, float]] = []  # stiffness by place, of the parts that show a background
+        self._search: Search | None = None  # that has begun
+        self._work, self._spent_s = Work(), 0.0  # of the search that has begun, and of a core so far
+        self._needed_s = 2.0 * self._samples_s  # of a core, to begin a search
+
+    @property
+    def _whole(self) -> bool:
+        """Whether the whole is searched next: its parts agree."""
+        return len(self._parts) == BACKGROUND_PARTS
+
+    @property
+    def _samples_s(self) -> float:
+        """Time of a core for the samples of the next search, s."""
+        if self._whole:
+            return self.rows * self._channels / FITTED_SAMPLES_PER_S
+        return self._part * self._channels / SAMPLES_PER_S
+
+    def _allowed_s(self, seen: int) -> float:
+        """Time of a core that may be spent after so many rows, s."""
+        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s, MAX_SEARCH_S)
 
     def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
         """Whether to go on after so many rows. coloured : whether the residual force is not white."""
-        return self.rows > 0 and seen >= self._next and (self._search is not None or coloured())
+        if self.rows == 0 or seen < self._next:
+            return False
+        return self._search is not None or (self._allowed_s(seen) >= self._needed_s and coloured())
 
-    def step(
-        self, seen: int, known: Background | None, model: Model, lines: Model, blocks: Sequence[Array], rate_hz: float
-    ) -> FirstFit | None:  # fmt: skip
+    def step(self, seen: int, first: FirstFit, lines: Model, blocks: Sequence[Array]) -> FirstFit | None:
         """Begin a search, or end one: a fit with another background than the known one, once it is sure.
 
-        seen : rows so far. model, lines, rate_hz : as of `first_fit`. blocks : the last rows (n, channels) each, SI.
+        seen : rows so far. first : the fit so far. lines : as of `first_fit`. blocks : the last rows (n, channels)
+        each, SI.
         """
-        whole = len(self._stiffness) == BACKGROUND_PARTS
-        if self._search is None:
-            y, rows = np.concatenate(blocks), self.rows if whole else self._part
-            self._search = self._run(partial(_fit_with_background, model, lines, y[-rows:], rate_hz, len(blocks[0])))
-            self._next = seen + self._part // 2
+        if self._search is not None:
+            return self._end(seen, self._search())
+        allowed = self._allowed_s(seen)
+        self._work = Work(limit=(allowed - self._samples_s) * DERIVATIVES_PER_S)
+        y = np.concatenate(blocks)[-(self.rows if self._whole else self._part) :]
+        asked = first, self._whole, lines, y, self._rate_hz, self._block, self._work
+        self._search = self._run(partial(_searched, *asked))
+        self._next = seen + max(self._part // 2, int(SLOW_MACHINE * allowed * self._rate_hz))
+        return None
+
+    def _end(self, seen: int, found: Finding | None) -> FirstFit | None:
+        """End a search."""
+        self._search = None
+        self._spent_s += self._samples_s + min(self._work.done, self._work.limit) / DERIVATIVES_PER_S
+        if self._work.done > self._work.limit:
+            self._needed_s = 2.0 * (self._samples_s + self._work.limit / DERIVATIVES_PER_S)
             return None
-        found, self._search = self._search(), None
-        kL: list[Array] = [] if found is None else [*self._stiffness, found.point.kL]
-        agree = found is not None and bool(np.all(np.ptp(kL, axis=0) < MAX_PARTS_APART_REL * kL[0]))
-        if agree and not whole:
-            self._stiffness, self._next = kL, seen + (self._part // 2 if len(kL) < BACKGROUND_PARTS else 0)
-            return None
-        self._stiffness, self._next = [], PAUSE_REL * seen
-        if found is None or not agree or found.point.data.background is None or not _is_explained(found):
-            return None
-        return None if found.point.data.background.agrees_with(known) else found
+        whole, parts = self._whole, [] if found is None else [*self._parts, found.stiffness]
+        if found is None or not _agree(parts) or whole:
+            self._parts, self._next = [], PAUSE_REL * seen
+            self._needed_s = 2.0 * self._samples_s
+            return found.first if found is not None and _agree(parts) else None
+        self._parts = parts
+        self._needed_s = self._samples_s + 1.5 * self._work.done / DERIVATIVES_PER_S
+        self._next = seen + (self._part // 2 if not self._whole else 0)
+        return None
 
 
-def _fit_with_background(model: Model, lines: Model, y: Array, rate_hz: float, block: int) -> FirstFit | None:
-    """The fit with the structural modes and the spectrum of the force that a record shows; None where there are none.
+def _agree(parts: Sequence[Mapping[str, float]]) -> bool:
+    """Whether parts of a record show the same stiffness at every place."""
+    kL = np.array([[own[place] for place in parts[0]] for own in parts])
+    return bool(np.all(np.ptp(kL, axis=0) < MAX_PARTS_APART_REL * kL[0]))
 
-    Arguments as of `first_fit`.
+
+def _searched(
+    first: FirstFit, whole: bool, lines: Model, y: Array, rate_hz: float, block: int, work: Work
+) -> Finding | None:  # fmt: skip
+    """The structural modes and the spectrum of the force that some rows show; None without any, or beyond the work.
+
+    first : the fit so far. whole : fit them too; None where the fit explains the spectra no better than one effect of
+    the catalogue, or finds what is known. Other arguments as of `first_fit`.
     """
     try:
-        first = first_fit(model, lines, y, rate_hz, block)
-        if (background := find_background(first.model, first.point)) is None:
+        model, _, data = first_record(first.model, lines, y, rate_hz, block)
+        point = fit_model(data, list(first.point.placed), first.point, rounds=1)
+        background = background_of_spectra(model, point, work)
+        if background is None:
             return None
-        own = replace(first.model, background=background)
+        stiffness = dict(zip(data.places, np.einsum("iik->ik", point.mean_tangent)[:, 0].tolist(), strict=True))
+        stiffness |= {place: own.stiffness for place, own in background.at.items()}
+        if not whole:
+            return Finding(stiffness)
+        if background.agrees_with(model.background):
+            return None
+        if model.background is None and spectra_are_explained(model, point):
+            return None
+        own = replace(model, background=background)
         point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))
-    except (DataError, NotFiniteError, np.linalg.LinAlgError):
+        return Finding(stiffness, replace(first, model=own, point=point)) if _is_explained(point) else None
+    except (DataError, NotFiniteError, SearchTooLongError, np.linalg.LinAlgError):
         return None
-    return replace(first, model=own, point=point)
 
 
-def _is_explained(first: FirstFit) -> bool:
+def _is_explained(point: WorkingPoint) -> bool:
     """Whether the spectra of the residual forces of a fit are those of its model."""
-    point, data = first.point, replace(first.point.data, level=None)
+    data = replace(point.data, level=None)
     follower = Follower(anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed), np.inf)
     follower.take(data, False)
     follower.solve()

@@ -39,7 +39,7 @@ from .follower import Follower
 from .piece import in_time_folds, joined_motion, piece_record
 from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import FirstFit, first_fit
+from .start import START_BLOCKS, FirstFit, first_fit
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 
 WARM_UP_S = 4.0  # of samples, at least, before the first fit
@@ -48,7 +48,6 @@ BLOCK_CYCLES = 16.0  # of the lower band edge in a block
 MIN_BLOCK_ROWS = 128
 RINGING_TIMES = 5.0  # of 1 / (zeta w0) of structural modes, beside a piece of motion: the rest is 0.7 %
 JOBS_PER_BLOCK = 4  # at most, of those that no estimate waits for
-START_BLOCKS = 24  # at least, in the first fit
 MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
 MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
 PIECES_PER_WATCH = 6  # of the memory with the candidates
@@ -131,7 +130,7 @@ class RollingEstimator:
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
         self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
         self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
-        self._background = BackgroundSearch(rate_hz, self._block, START_BLOCKS, run)
+        self._background = BackgroundSearch(rate_hz, len(self._used), self._block, run)
         self._background_s = 0.0  # when it was found
         self._shaft = ShaftAngle(model, rate_hz)
         self._fresh: list[Array] = []  # rows of the block that is not whole yet
@@ -268,7 +267,8 @@ class RollingEstimator:
         self._calm = record_denoising_filter(data, point.nu, point.S) if denoised else None
         watched = located_laws(candidates(first.model, self.watch), data)
         anchor = anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed, watched)
-        self._first, self._follower = first, Follower(anchor, self.time_constant_s)
+        self._first = replace(first, point=point.without_rows())
+        self._follower = Follower(anchor, self.time_constant_s)
         self._moves, self._pieces, self._missing = data.rms[2], 0, None
         self._next = -(-(self._kept[0].start + self._margin) // self._piece) * self._piece
         self._jobs.clear()
@@ -354,17 +354,16 @@ class RollingEstimator:
             extra = {**(extra or {}), BACKGROUND_KEY: self._background_s}
         self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=extra)
         if self._background.is_due(self._seen, partial(is_coloured, follower)):
-            self._jobs.append(partial(self._look_for_background, follower))
+            self._jobs.append(self._look_for_background)
 
     def _look_for_missing(self, follower: Follower) -> None:
         """Renew what is said of missing force."""
         self._missing = missing_force(follower)
         self._show(follower)
 
-    def _look_for_background(self, follower: Follower) -> None:
+    def _look_for_background(self) -> None:
         """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""
-        asked = self.model, self._whole, self._rows, self.rate_hz
-        first = self._background.step(self._seen, follower.anchor.data.background, *asked)
+        first = self._background.step(self._seen, self._first, self._whole, self._rows)
         if first is not None:
             self._background_s = self._seen / self.rate_hz
             self._begin(first)

@@ -15,6 +15,7 @@ from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import LineBand, Model
@@ -22,6 +23,7 @@ from estimator.results import Parameter
 from estimator.signals.channel_response import corrected_record
 from estimator.signals.shaft_angle import with_measured_speed
 
+START_BLOCKS = 24  # at least, in the first fit
 MIN_CORRELATION_TIMES = 10.0  # that the first seconds have to hold
 MAX_KNOWN_LINES_SHARE = 0.5  # of the band, that the lines of the model's own periodic forces may take
 LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
@@ -41,15 +43,26 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
 
     model : the rig without its periodic forces. lines : with them. Raises DataError.
     """
-    y = check_record(model, y, rate_hz)
-    model = with_lines_left_out(with_measured_speed(model, y, rate_hz), y, rate_hz)
-    model = _with_known_lines(model, lines, rate_hz / block)
-    model, masses = with_masses_of_shaft(model, y, rate_hz)
-    point = fit_record(model, motion_record(model, corrected_record(model, y, rate_hz), rate_hz, block))
+    model, masses, data = first_record(model, lines, y, rate_hz, block)
+    point = fit_record(model, data)
     if residual_is_noise(model, point):
         point = fit_model(replace(point.data, residual_is_noise=True), list(point.placed), point)
     _check(point)
     return FirstFit(model, point, masses)
+
+
+def first_record(
+    model: Model, lines: Model, y: Array, rate_hz: float, block: int
+) -> tuple[Model, Mapping[str, Parameter], MotionRecord]:
+    """The model with the lines and the speed of some rows, the masses that the shaft sets, and the motion record.
+
+    Arguments as of `first_fit`. Raises DataError.
+    """
+    y = check_record(model, y, rate_hz)
+    model = with_lines_left_out(with_measured_speed(model, y, rate_hz), y, rate_hz)
+    model = _with_known_lines(model, lines, rate_hz / block)
+    model, masses = with_masses_of_shaft(model, y, rate_hz)
+    return model, masses, motion_record(model, corrected_record(model, y, rate_hz), rate_hz, block)
 
 
 def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:

@@ -17,7 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
 
-from .cross_spectra import CrossSpectra, cross_spectra
+from .cross_spectra import CrossSpectra, Work, cross_spectra
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, products
 from .spectral_shape import MIN_UNKNOWN_DEPTH_RMS, spectra_are_explained
 
@@ -44,6 +44,7 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     """The background that a record shows beside a fitted model; None where the model explains the spectra.
 
     A measured force has the spectrum that it has, and its path shows the structure: no background is sought there.
+    None either where one effect of the catalogue explains the spectra.
 
     Parameters
     ----------
@@ -52,14 +53,32 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     point : WorkingPoint
         The fitted model.
     """
-    data = point.data
-    if data.measured_force or not np.all(point.kL > 0.0):
+    found = background_of_spectra(model, point, Work())
+    if found is None or (model.background is None and spectra_are_explained(model, point)):
         return None
-    if model.background is None and spectra_are_explained(model, point):
+    return found
+
+
+def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> Background | None:
+    """The background that explains the spectra of a record; None where the model does. Effects are not considered.
+
+    Parameters
+    ----------
+    model, point
+        As of `find_background`.
+    work : Work
+        What the search may do.
+
+    Raises
+    ------
+    SearchTooLongError
+        The search would do more.
+    """
+    if point.data.measured_force or not np.all(point.kL > 0.0):
         return None
     at: dict[str, BearingBackground] = {}
-    for places in caps_by_direction(data.places):
-        at |= _of_direction(model, point, places)
+    for places in caps_by_direction(point.data.places):
+        at |= _of_direction(model, point, places, work)
     return Background(at=at) if at else None
 
 
@@ -69,9 +88,11 @@ def caps_by_direction(places: Sequence[str]) -> list[tuple[int, ...]]:
     return [tuple(i for i, place in enumerate(places) if place[-1] == direction) for direction in directions]
 
 
-def _of_direction(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> dict[str, BearingBackground]:
+def _of_direction(
+    model: Model, point: WorkingPoint, places: tuple[int, ...], work: Work
+) -> dict[str, BearingBackground]:  # fmt: skip
     """The background of the caps of one direction, by place; empty where the model explains their spectra."""
-    problem = spectral_problem(model, point, measured_spectra(model, point, places))
+    problem = replace(spectral_problem(model, point, measured_spectra(model, point, places)), work=work)
     least = MIN_GAIN_NATS * force_dispersion(point)
     try:
         if (known := with_known_background(problem, point, model.background)) is None:

@@ -1,4 +1,7 @@
-"""Spectral matrices of the caps of one direction, averaged over pieces of a record and over narrow cells."""
+"""Spectral matrices of the caps of one direction, averaged over pieces of a record and over narrow cells.
+
+The work of a search in them is counted in operations: it is the same on every machine and in every repetition.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,26 @@ from .excitation import (
 
 CELL_WIDTH_REL = 0.004  # of its frequency: a third of the half-power width of a mode of 0.6 % damping
 PIECES_PER_RECORD = 12  # that the spectra are averaged over, at least
+
+SCORE_OVERHEAD_DERIVATIVES = 2e4  # that take as long as what a score of any size costs
+
+
+class SearchTooLongError(Exception):
+    """A search has done more work than it may."""
+
+
+@dataclass(slots=True)
+class Work:
+    """Work of a search. done, limit : numbers of derivatives of spectra that take as long."""
+
+    limit: float = np.inf
+    done: float = 0.0
+
+    def add(self, derivatives: int) -> None:
+        """Count one score of so many derivatives. Raises SearchTooLongError beyond the limit."""
+        self.done += derivatives + SCORE_OVERHEAD_DERIVATIVES
+        if self.done > self.limit:
+            raise SearchTooLongError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

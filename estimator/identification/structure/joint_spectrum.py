@@ -22,7 +22,7 @@ from scipy.interpolate import BSpline
 from estimator.arrays import Array, Complexes
 from estimator.model.background import ModeForm, StructuralMode
 
-from .cross_spectra import CrossSpectra
+from .cross_spectra import CrossSpectra, Work
 
 # in cap masses: a lighter support, or a heavier part on the cap, is a rotor of its own
 MASS_RATIO_LIMITS: dict[ModeForm, tuple[float, float]] = {"support": (0.7, 300.0), "attached": (3e-4, 0.4)}
@@ -156,6 +156,7 @@ class JointSpectrum:
     shaft: Complexes = field(default_factory=lambda: np.zeros((0, 0, 0), np.complex128))
     octaves: float = np.inf
     fall_power: int = 0
+    work: Work = field(default_factory=Work)  # of this problem and of those made from it
     basis: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -273,7 +274,9 @@ class JointSpectrum:
 
         Returns (parameters, rows) derivatives and (rows,) residuals.
         """
-        return self.rows(self.derivatives(point)), self.rows((point.R - np.eye(self.mass.size))[None])[0]
+        J = self.rows(self.derivatives(point))
+        self.work.add(J.size)
+        return J, self.rows((point.R - np.eye(self.mass.size))[None])[0]
 
     def rows(self, matrices: Complexes) -> Array:
         """(k, rows) of Hermitian matrices (k, cells, caps, caps), so that products of rows are weighted traces."""
@@ -299,8 +302,7 @@ class JointSpectrum:
     def misfit(self, point: JointPoint) -> Array:
         """(caps,) rms of ln(measured / model) of the whitened spectra beyond their scatter."""
         n = self.spectra.n
-        off = _squared_ln_ratio(point) - 1.0 / n[:, None]
-        return np.asarray(np.sqrt(np.maximum(n @ off / n.sum(), 0.0)))
+        return np.asarray(np.sqrt(np.maximum(n @ (_squared_ln_ratio(point) - 1.0 / n[:, None]) / n.sum(), 0.0)))
 
     def dispersion(self, point: JointPoint) -> float:
         """Mean square of ln(measured / model) of the whitened spectra over its expectation."""
