@@ -26,7 +26,7 @@ INSIDE = {
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
     "estimator/identification/batch/test_long_record.py": (1, "a record of a quarter of an hour takes too long"),
-    "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
+    "estimator/identification/structure/test_measured_path.py": (1, SEAM),
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60

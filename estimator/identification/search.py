@@ -15,8 +15,8 @@ from estimator.parallel import map_threads
 
 from .finding import Finding, effect_use
 from .machine.lines import find_lines
+from .structure.measured_path import find_path_faults
 from .structure.spectral_shape import find_spectral_shapes
-from .structure.transfer_faults import find_transfer_faults
 
 
 class Detector(Protocol):
@@ -35,15 +35,15 @@ def _spectral_shapes(model: Model, point: WorkingPoint, y: Array, found: Sequenc
     return find_spectral_shapes(model, _without_lines(found, model, point))
 
 
-def _transfer_faults(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
-    """Faults of transfer functions from measured forces: these forces have the shape and the company that they have."""
+def _path_faults(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
+    """Faults of the paths from measured forces, beside the lines that were found."""
     if not point.data.measured_force:
         return []
-    return find_transfer_faults(model, point, harmonics.known_lines(_with_findings(model, found)))
+    return find_path_faults(model, point, harmonics.known_lines(_with_findings(model, found)))
 
 
 MAX_SAMPLES = 1.2e7  # of all places, from the first row: a line spectrum takes about 50 bytes a sample
-RECORD_DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults)
+RECORD_DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _path_faults)
 
 
 def search(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:

@@ -54,15 +54,18 @@ def further_lines_found(model: Model, findings: list[Finding]) -> dict[str, dict
 
 
 def is_identifiable_by_force(use: EffectUse, model: Model) -> bool:
-    """Whether an effect is the response of a sensor that a measured force makes identifiable."""
-    return use.name in RESPONSE_EFFECTS and bool(
-        measured_force_places(model).intersection(at(NAMED[use.name], use, model))
-    )
+    """Whether an effect is a gain or a delay of a sensor that a measured force makes identifiable."""
+    return use.name in GAIN_AND_DELAY and _has_force(use, model)
+
+
+def _has_force(use: EffectUse, model: Model) -> bool:
+    """Whether the force is measured at a location of an effect."""
+    return not measured_force_places(model).isdisjoint(at(NAMED[use.name], use, model))
 
 
 def is_undone_as_given(use: EffectUse, model: Model) -> bool:
     """Whether an effect is the response of a sensor that is undone at the values of the rig file, before any fit."""
-    if not is_identifiable_by_force(use, model):
+    if use.name not in RESPONSE_EFFECTS or not _has_force(use, model):
         return use.name in GAIN_AND_DELAY
     names = [q.name for q in NAMED[use.name].parameters]
     return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
@@ -114,7 +117,7 @@ def _with_resolved_use(
                 found[name] = own[q.name]
                 setting = replace(setting, value=own[q.name].value)
             else:
-                blind = use.name in GAIN_AND_DELAY and not is_identifiable_by_force(use, model)
+                blind = is_undone_as_given(use, model) and not is_identifiable_by_force(use, model)
                 found[name] = _not_found(blind, q)
                 setting = setting if blind else replace(setting, value=None)
             new[key][q.name] = setting

@@ -19,12 +19,7 @@ from estimator.errors import NoResonanceError, NotFiniteError
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.search import search
-from estimator.identification.structure import (
-    spectral_models,
-    spectral_shape,
-    transfer_bias,
-    upper_edge,
-)
+from estimator.identification.structure import measured_path, spectral_models, spectral_shape, upper_edge
 from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.fitted_values import Estimate, fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
@@ -266,9 +261,9 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
         point = fit_record(model, prepare(model, y, rate_hz))
     refines = any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses)
     for _ in range(RESOLVING_ROUNDS if refines else 0):
-        model, of_transfer = transfer_bias.refine_sensor_faults(model, point)
+        model, of_path = measured_path.refine_sensor_faults(model, point)
         model, refined_now = harmonic_fit.settle_harmonics(model, point)
-        refined_now |= of_transfer
+        refined_now |= of_path
         found |= refined_now
         if refined_now:
             point = fit_record(model, prepare(model, y, rate_hz))

@@ -2,7 +2,7 @@
 
 Gauss-Newton finds such a parameter from nearby. The value of the rig file may be far off, so a coarse grid about it is
 tried first, on a part of the record, together with the model without the effect. A pedestal has no amplitude to score
-a grid node by. It starts from the spectrum of the residual force, or from the transfer function of a measured force.
+a grid node by. It starts from the spectrum of the residual force.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import search_range
-from estimator.identification.structure import spectral_models, transfer_bias
+from estimator.identification.structure import spectral_models
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, first_stiffness, located_laws, natural_sizes
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
@@ -69,8 +69,8 @@ def _with_pedestal_starts(
 ) -> tuple[list[LocatedLaw], WorkingPoint | None]:  # fmt: skip
     """The laws with start values for their pedestals, and the working point of that start; None without a pedestal.
 
-    Without a measured force three starts are fitted and the likeliest is kept: the suggestion of the residual force,
-    the given values, and the natural size.
+    Three starts are fitted and the likeliest is kept: the suggestion of the residual force where none is measured, the
+    given values, and the natural size.
 
     uses : located laws at the values of the model. natural : the same laws with pedestals at their natural size.
     """
@@ -84,26 +84,16 @@ def _with_pedestal_starts(
     kL, c = without.kL.copy(), without.c.copy()
     for k in shaped:
         i = uses[k].at[0]
-        if kL[i] > 0.0:  # not a fit far from the rotor
-            suggest = (
-                transfer_bias.pedestal_from_transfer
-                if data.measured_force_psd[i] > 0.0
-                else spectral_models.pedestal_from_spectrum
-            )
-            values, kL[i], c[i] = suggest(without, i)
+        if kL[i] > 0.0 and not data.measured_force_psd[i] > 0.0:  # else a fit far from the rotor, or noise
+            values, kL[i], c[i] = spectral_models.pedestal_from_spectrum(without, i)
             started[k] = uses[k].with_values(np.where(uses[k].free, values, uses[k].p))
-    own = [started.get(k, uses[k]) for k in shaped]
-    if data.measured_force:
-        best = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
-    else:
-        suggested_point = replace(without, kL=kL, c=c, placed=(*others, *own))
-        points = [
-            fit_model(part, [*others, *own], suggested_point),
-            *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
-        ]
-        least = -MAX_NEGATIVE_DAMPING_REL * np.abs(without.c)
-        sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
-        best = max(sound or points, key=lambda point: point.fit.log_likelihood)
+    points = [fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)]
+    if started:
+        own = [*others, *(started.get(k, uses[k]) for k in shaped)]
+        points.insert(0, fit_model(part, own, replace(without, kL=kL, c=c, placed=tuple(own))))
+    least = -MAX_NEGATIVE_DAMPING_REL * np.abs(without.c)
+    sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
+    best = max(sound or points, key=lambda point: point.fit.log_likelihood)
     fitted = {use.key: use for use in best.placed}
     return [fitted.get(use.key, use) for use in uses], best
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.structure import transfer_faults
+from estimator.identification.structure import measured_path
 from estimator.identification.structure.spectral_cells import mean_power
 from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
 from estimator.likelihood.motion.checks import check_record
@@ -75,7 +75,7 @@ def residual_is_noise(model: Model, point: WorkingPoint) -> bool:
         MAX_UNMEASURED_POWER_REL * data.measured_force_psd > point.S
     ):
         return False
-    return not transfer_faults.has_unmeasured_force(model, point)
+    return not measured_path.has_unmeasured_force(model, point)
 
 
 def _fit_messages(found: FullFit) -> tuple[Message, ...]:

@@ -1,4 +1,4 @@
-"""Excitation spectra, modes, sensor noise, recorder filter and faults of transfer functions."""
+"""Excitation spectra, modes, sensor noise, recorder filter and faults of measured paths."""
 
 from .survey import ExcitationSpectrum, Mode, PlaceStructure, PolePoint, StructureSurvey, bearing_mode, survey_structure
 

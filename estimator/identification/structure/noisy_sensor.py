@@ -1,24 +1,14 @@
-"""Sensors whose noise exceeds that of their neighbours, from the residual force or beside a measured force."""
+"""Sensors whose noise exceeds that of their neighbours, from the residual force."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from functools import partial
+from collections.abc import Collection
 
 import numpy as np
-from scipy.special import chdtrc
 
 from estimator.arrays import Array
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
 from estimator.identification.finding import Finding
-from estimator.likelihood.fitting.transfer_function import (
-    PathSpectra,
-    Peak,
-    clipped_exp,
-    linear_tangent,
-    maximise_path,
-    residual_and_noise,
-)
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Parameter
@@ -77,53 +67,3 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
     return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION_UNITS[data.kinds[i]])
-
-
-MAX_UNEVENNESS_RMS = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
-
-
-def find_noisy_sensors_under_force(
-    model: Model, point: WorkingPoint, heard: Mapping[int, tuple[PathSpectra, Peak, Array]]
-) -> list[Finding]:  # fmt: skip
-    """Sensors noisier than their neighbours, where white noise of force and motion explains the residual force.
-
-    heard : by location, the path spectra without a cause, their fit and the scales of its numbers.
-    """
-    data = point.data
-    have = {place for u in model.effects if u.name == SENSOR_NOISE.name for place in u.parameters}
-    out = []
-    for i, (r, base, scale) in heard.items():
-        place = data.places[i]
-        P, _, s = residual_and_noise(r, base.A, base.u)
-        off = np.log(P / s)
-        others = [clipped_exp(own[1].u[1]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
-        depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
-        if not others or place in have or depth > MAX_UNEVENNESS_RMS**2:
-            continue
-        density, floor = clipped_exp(base.u[1]), float(np.median(others))
-        if density < NOISE_RATIO * floor:
-            continue
-        quiet = maximise_path(
-            r, partial(linear_tangent, r), np.array([base.u[0], np.log(floor), *base.u[2:]]), scale, held=1
-        )
-        gain = base.nats - quiet.nats
-        if 2 * gain < NOISE_RATIO:
-            continue
-        rms = float(np.sqrt(density * data.rate_hz / 2))
-        name, unit = next(c.name for c in model.channels if c.place == place), MOTION_UNITS[data.kinds[i]]
-        power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
-        out.append(
-            Finding(
-                effect=SENSOR_NOISE.name,
-                at=(place,),
-                gain_nats=gain,
-                dof=1,
-                p_value=float(chdtrc(1, 2 * gain)) * len(heard),
-                power_N2={i: power},
-                against="frequency",
-                region=f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
-                settings={place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
-                note="the rotor model may be right: a simulation cannot reproduce sensor noise",
-            )
-        )
-    return out
