@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from importlib import import_module
@@ -18,6 +19,7 @@ ESTIMATOR_OF_METHOD = {
     "score-matching": ("estimator.identification.moments", "RollingScoreMatching"),
 }
 LONGEST_WARM_UP_S = 10.0  # of made-up data
+TURN_S = 5e-4  # after which a search has to let an estimate go on: ten turns and more are waited for in one
 
 MakeEstimator = Callable[[Model, float], OnlineEstimator]
 
@@ -46,6 +48,8 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
 def _in_thread(search: Callable[[], Any]) -> Callable[[], Any]:
     """Run a search in a thread of its own; the function that is returned waits for it and gives its result."""
     found: list[Any] = []
+
+    sys.setswitchinterval(min(sys.getswitchinterval(), TURN_S))
 
     def run() -> None:
         try:

@@ -23,12 +23,12 @@ ROWS = 64
 CHANNELS = ("b1x", "b1y", "b2x", "b2y")
 
 
-def resonance(rows: int, rate_hz: float = 25_600.0) -> np.ndarray:
+def resonance(rows: int, rate_hz: float = 25_600.0, seed: int = 0) -> np.ndarray:
     """(rows, 4) counts of a bearing on its spring, 1.1 kHz, driven by noise."""
     from scipy.signal import lfilter
 
     pole = np.exp((-0.05 + 1j) * 2 * np.pi * 1100.0 / rate_hz)
-    drive = np.random.default_rng(0).standard_normal((rows, 4))
+    drive = np.random.default_rng(seed).standard_normal((rows, 4))
     motion = lfilter([1.0, -2.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], drive, axis=0)
     return np.round(motion / motion.std() * 3000).astype(np.int32)
 
@@ -53,13 +53,13 @@ def frames(rate_hz: float, seconds: float) -> tuple[bytes, list[bytes]]:
         )
         for c, name in enumerate(CHANNELS)
     )
-    pool = resonance(1024 * ROWS, rate_hz)
+    count = int(seconds * rate_hz / ROWS)
+    counts = resonance(count * ROWS, rate_hz)  # noise that repeats has a spectrum of lines
     flags = (1 << 2) | (1 << 4)
     out = []
-    for k in range(int(seconds * rate_hz / ROWS)):
-        at = (k % 1024) * ROWS
+    for k in range(count):
         time_us = round(k * ROWS * 1e6 / rate_hz)
-        out.append(cobs.encode(pack_samples(k * ROWS, 0, flags, time_us, pool[at : at + ROWS])))
+        out.append(cobs.encode(pack_samples(k * ROWS, 0, flags, time_us, counts[k * ROWS : (k + 1) * ROWS])))
     return info, out
 
 

@@ -204,12 +204,13 @@ def test_last_byte_to_logged_estimate(tmp_path: Path, method: str) -> None:
 
 
 def write_long(path: Path, seconds: float, rate_hz: float = 25_600.0) -> None:
-    pool = resonance(1 << 16)
     writer = LogWriter(path, live=False)
     session = make_session(rate_hz=rate_hz)
     writer.start(Session(RIG.model, session.info, "", RIG.attachments(), metadata={}))
     for at in range(0, int(seconds * rate_hz), 4096):
-        block = pool[at % (1 << 16) : at % (1 << 16) + 4096]
+        if at % (1 << 20) == 0:
+            part = resonance(1 << 20, rate_hz, at)
+        block = part[at % (1 << 20) :][:4096]
         writer.readings([Block(at, block, 10**12 + round((at + 4096) * 1e9 / rate_hz))])
     writer.close()
 
