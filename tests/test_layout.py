@@ -26,12 +26,12 @@ INSIDE = {
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
     "estimator/identification/batch/test_full_fit.py": (1, SEAM),
     "estimator/identification/batch/test_long_record.py": (1, "a record of a quarter of an hour takes too long"),
-    "estimator/identification/structure/test_measured_path.py": (1, SEAM),
+    "estimator/identification/residual/test_measured_path.py": (1, SEAM),
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60
 CHAIN_FILES = {"estimator": 6, "daq": 7, "drivers": 5}  # of imports inside a folder; between rooms the layers hold
-FOLDER_ENTRIES = 16  # twelve after the two engines are one
+FOLDER_ENTRIES = {"estimator": 12, "daq": 16, "drivers": 16}  # files and folders, without marks for tools: 12 are asked
 ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identification", "diagnosis"}
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
@@ -233,7 +233,7 @@ def test_no_folder_is_crowded(package: str) -> None:
     crowded = {
         str(f.relative_to(ROOT)): n
         for f in folders
-        if (n := sum(entry.name != "__pycache__" for entry in f.iterdir())) > FOLDER_ENTRIES
+        if (n := sum(entry.name not in ("__pycache__", "py.typed") for entry in f.iterdir())) > FOLDER_ENTRIES[package]
     }
     assert not crowded
 

@@ -14,8 +14,8 @@ from estimator.model.rig import EffectUse, Model
 from estimator.parallel import map_threads
 
 from .finding import Finding, effect_use
-from .machine.lines import find_lines
-from .structure.measured_path import find_path_faults
+from .residual.lines import find_lines
+from .residual.measured_path import find_path_faults
 from .structure.spectral_shape import find_spectral_shapes
 
 

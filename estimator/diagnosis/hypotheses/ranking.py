@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
-from estimator.identification.machine import stiffness_order
+from estimator.identification.residual import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import LocatedLaw

@@ -17,8 +17,8 @@ from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.identification.finding import is_cause_of_spectrum
-from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
+from estimator.identification.residual.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters, unidentifiable_laws

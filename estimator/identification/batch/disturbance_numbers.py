@@ -10,7 +10,7 @@ import numpy as np
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.places import at, written
 from estimator.identification.finding import Finding, effect_use
-from estimator.identification.structure import noisy_sensor
+from estimator.identification.structure import spectral_shape
 from estimator.likelihood.motion import harmonics
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import EffectParameter
@@ -129,7 +129,7 @@ def _found_at_location(
 ) -> dict[str, Parameter]:
     """Parameters found for an effect at a location, by parameter name."""
     if NAMED[use.name].adds_noise and key in point.data.places:
-        return {"rms": noisy_sensor.sensor_noise_rms(point, point.data.places.index(key))}
+        return {"rms": spectral_shape.sensor_noise_rms(point, point.data.places.index(key))}
     if NAMED[use.name].kind == "shaft":
         on_disc = [s for s in findings if s.effect in NAMED and NAMED[s.effect].kind == "disc"]
         return _bow_of_imbalance(model, [s.settings[key] for s in on_disc])

@@ -16,10 +16,10 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.errors import NoResonanceError, NotFiniteError
-from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.machine.line_bands import with_lines_left_out
+from estimator.identification.residual import harmonic_fit, measured_path, stiffness_order
 from estimator.identification.search import search
-from estimator.identification.structure import measured_path, spectral_models, spectral_shape, upper_edge
+from estimator.identification.structure import spectral_models, spectral_shape, upper_edge
 from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.fitted_values import Estimate, fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law

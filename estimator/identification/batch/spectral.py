@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.structure import measured_path
+from estimator.identification.residual import measured_path
 from estimator.identification.structure.spectral_cells import mean_power
 from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
-from estimator.likelihood.motion.checks import check_record
-from estimator.likelihood.motion.prepare import RECORD_LONG_CODE
+from estimator.likelihood.motion.prepare import RECORD_LONG_CODE, check_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import LINEAR_UNITS, Model
 from estimator.results import Fit, Message, Parameter

@@ -1,4 +1,4 @@
-"""Tones, harmonics, impact trains and parametric stiffness of a machine."""
+"""Tones, orders and strikes in the measured signal."""
 
 from .machine_survey import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
 from .speed import RATE_CONTRADICTED, RECORD_SOURCE, SPEED_CONTRADICTED

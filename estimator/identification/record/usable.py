@@ -11,7 +11,7 @@ from estimator.arrays import Array
 from estimator.effects import found_by
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
-from estimator.likelihood.motion.checks import check_shape
+from estimator.likelihood.motion.prepare import check_shape
 from estimator.model.rig import LINEAR_UNITS, MOTION_UNITS, EffectUse, Model
 from estimator.results import Message, Parameter
 

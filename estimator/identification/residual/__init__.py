@@ -1,1 +1,1 @@
-"""The part of the residual force that a flexible black box can still predict."""
+"""What the residual force of a fitted model holds: predictable parts, lines, impact trains, a faulty measured path."""

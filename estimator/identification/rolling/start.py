@@ -13,10 +13,9 @@ from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.likelihood.motion.prepare import motion_record
+from estimator.likelihood.motion.prepare import check_record, motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import LineBand, Model
 from estimator.results import Parameter

@@ -1,4 +1,4 @@
-"""Excitation spectra, modes, sensor noise, recorder filter and faults of measured paths."""
+"""Excitation spectra, modes, sensor noise and recorder filter."""
 
 from .survey import ExcitationSpectrum, Mode, PlaceStructure, PolePoint, StructureSurvey, bearing_mode, survey_structure
 

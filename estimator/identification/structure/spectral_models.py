@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from estimator.arrays import Array
+from estimator.arrays import Array, Complexes
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
@@ -16,12 +16,13 @@ from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.results import Parameter
 
-from . import pedestal_form
 from .spectral_cells import SpectralCells, cells_of
 
 MAX_DIMMING_SHARE = 0.985  # of S, that a spectral shape may take away at low frequencies
 BROADENED_DAMPING_SHARE = 0.75  # of a damping: excess of one resonance fitted to the two of rotor and pedestal
 MIN_PEAK_QUALITY = 1.0  # of a sensor resonance: below it a low-pass filter looks alike
+# of ln(mass / cap mass), ln(frequency in Hz), ln(damping ratio) of a pedestal
+PEDESTAL_LOWER_LIMITS, PEDESTAL_UPPER_LIMITS = np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])
 DERIVATIVE_STEP_REL = 1e-8  # of a number over its scale
 
 
@@ -110,15 +111,43 @@ def resonant_power(f_hz: Array, f0: float | Array, quality: float | Array) -> Ar
     return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
 
 
+def pedestal_starts(peak_hz: float) -> tuple[tuple[float, ...], ...]:
+    """Points of the search from which it starts, for a resonance of the cap at peak_hz."""
+    return tuple((m, float(np.log(peak_hz * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
+
+
+def pedestal_values(z: Array, cap_mass: float) -> Array:
+    """(3,) mass in kg, frequency in Hz and damping ratio at a point (3,) of the search, or (3, m, 1) at m points."""
+    return np.asarray((np.exp(np.clip(z.T, PEDESTAL_LOWER_LIMITS, PEDESTAL_UPPER_LIMITS)) * [cap_mass, 1.0, 1.0]).T)
+
+
+def pedestal_at_limit(z: Array) -> bool:
+    """Whether a search ended at a limit of the pedestal's range that means that there is none.
+
+    A pedestal too heavy or too stiff to be identified lies at the other limits.
+    """
+    return bool(np.any(z[:2] <= PEDESTAL_LOWER_LIMITS[:2]) or z[2] >= PEDESTAL_UPPER_LIMITS[2])
+
+
+def stiffness_lost(w: Array, k: float, c: float, p: Array) -> Complexes:
+    """(f,) N/m that the stiffness of a bearing loses on a pedestal p (3,).
+
+    It is D^2 / (D + P), with D = k + i w c of the bearing and P the dynamic stiffness of the pedestal.
+    """
+    M, w0, zeta = p[0], 2 * np.pi * p[1], p[2]
+    D = k + 1j * w * c
+    return np.asarray(D * D / (M * (w0**2 - w**2 + 2j * zeta * w * w0) + D))
+
+
 def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
     """A pedestal under the bearing.
 
     mass : kg of the cap. kL, c0 : stiffness and damping of the fit. peak : Hz, resonance of the cap.
     """
-    values = partial(pedestal_form.pedestal_values, cap_mass=mass)
+    values = partial(pedestal_values, cap_mass=mass)
 
     def model(c: SpectralCells, u: Array) -> Array:
-        lost = pedestal_form.stiffness_lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
+        lost = stiffness_lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
@@ -126,7 +155,7 @@ def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralS
         effect=PEDESTAL.name,
         names=names,
         units=units,
-        starts=pedestal_form.pedestal_starts(peak),
+        starts=pedestal_starts(peak),
         model=model,
         values=values,
         idle=BROADENED_DAMPING_SHARE * c0,

@@ -18,8 +18,6 @@ SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_fact
 FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind == "excitation")
 LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window, and one bin more
 
-LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window, and one bin more
-
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m, dynamic stiffness of shaft and disc at the measured bearing caps."""

@@ -1,4 +1,4 @@
-"""The motion record of a model: channel responses undone, band limited, aligned in blocks."""
+"""The motion record of a model: checked, channel responses undone, band limited, aligned in blocks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
-from .checks import check_moves
 from .force_balance import motion_channels, shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
@@ -32,6 +31,7 @@ from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_f
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
 MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+MIN_PEAK_SI, MAX_PEAK_SI = 1e-15, 1e15  # a peak outside is a wrong unit, and its powers overflow
 MIN_LINE_GAIN = 0.1  # of the band limit, for a line beside the band: it leaks into the band by its sidelobes
 MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
@@ -286,3 +286,51 @@ def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
     edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
     out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return np.concatenate(out) if out else np.zeros(0, np.int64)
+
+
+def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
+    """Smallest and largest of a channel's finite samples, SI. Raises DataError if they cannot be motion or force."""
+    if z.size < 2:
+        raise DataError(f"channel {name} has no valid samples: check its cable and its signal in the rig file")
+    low, high = float(z.min()), float(z.max())
+    if low == high:
+        what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
+        raise DataError(f"channel {name} {what}: check the sensor and its cable")
+    largest = max(high, -low)
+    if not MIN_PEAK_SI < largest < MAX_PEAK_SI:
+        raise DataError(f"channel {name} reaches {largest:.3g} in SI units: check its unit and its scale")
+    return low, high
+
+
+def check_shape(model: Model, y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The record as (n, channels) float64 or float32. Raises DataError if it is none of this model."""
+    try:
+        y = real_samples(y)
+    except ValueError as e:
+        raise DataError("the channels are of unequal length: export them with a common start and end") from e
+    if y.ndim != 2 or y.shape[1] != len(model.channels):
+        raise DataError(
+            f"the record has shape {y.shape}, the model {len(model.channels)} channels: (n, channels) needed"
+        )
+    if not model.places:
+        raise DataError("the model has no motion channel on a bearing: nothing can be estimated")
+    return y
+
+
+def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """The record as (n, channels) float64 or float32. Raises DataError naming the channel and the remedy."""
+    y = check_shape(model, y)
+    if not np.isfinite(rate_hz) or rate_hz <= 0:
+        raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
+    for i, channel in enumerate(model.channels):
+        if channel.kind != "tacho":
+            there = np.isfinite(y[:, i])
+            check_moves(channel.name, y[:, i] if there.all() else y[there, i])
+    for place in model.places:
+        for key, sign in (("kL", "positive"), ("c", "positive")):
+            setting = model.linear.get(place, {}).get(key)
+            if setting is not None and setting.value is not None and setting.value < 0:
+                raise DataError(
+                    f"the model is unstable: {place}.{key} = {setting.value:g}; give a {sign} value or none"
+                )
+    return y

@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT, one_bearing
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.structure import noisy_sensor, spectral_shape
+from estimator.identification.structure import spectral_shape
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
 
@@ -48,7 +48,7 @@ def test_the_noise_of_a_sensor_is_no_point_of_a_grid(rms: float) -> None:
     y = simulate(rig, RATE, 6.0, seed=5)
     y += rms * np.random.default_rng(2).standard_normal(y.shape)
     point = fit_all_effects(rig, y, RATE).point
-    found = [noisy_sensor.sensor_noise_rms(point, i) for i in range(2)]
+    found = [spectral_shape.sensor_noise_rms(point, i) for i in range(2)]
     off = [(p.value - rms) / p.sd for p in found if p.value is not None and p.sd is not None]
     assert np.sqrt(np.mean(np.square(off))) < 1.7
 
@@ -60,7 +60,7 @@ def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
     rig = replace(rig, channels=tuple(replace(c, kind=kinds[c.node]) for c in rig.channels))
     point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
-    assert not noisy_sensor.find_noisy_sensors(rig, point, quiet, ())
+    assert not spectral_shape.find_noisy_sensors(rig, point, quiet, ())
 
 
 def test_a_sensor_of_a_known_shape_is_no_measure_of_its_neighbours_noise() -> None:
@@ -69,5 +69,5 @@ def test_a_sensor_of_a_known_shape_is_no_measure_of_its_neighbours_noise() -> No
     point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     noise = np.array([0.0, 0.5]) ** 2 / (RATE / 2)
     resonant = EffectUse("sensor_resonance", {"bearing1.x": {"frequency": Setting(7e3), "quality": Setting(8.0)}})
-    assert [s.at for s in noisy_sensor.find_noisy_sensors(rig, point, noise, ())] == [("bearing1.y",)]
-    assert not noisy_sensor.find_noisy_sensors(replace(rig, effects=(*rig.effects, resonant)), point, noise, ())
+    assert [s.at for s in spectral_shape.find_noisy_sensors(rig, point, noise, ())] == [("bearing1.y",)]
+    assert not spectral_shape.find_noisy_sensors(replace(rig, effects=(*rig.effects, resonant)), point, noise, ())

@@ -14,8 +14,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.machine import lines
-from estimator.identification.machine.stiffness_order import find_stiffness_order
+from estimator.identification.residual import lines
+from estimator.identification.residual.stiffness_order import find_stiffness_order
 from estimator.likelihood.motion.harmonics import periodic_forces, periodic_series
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.signals.shaft_angle import with_measured_speed

@@ -14,8 +14,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.machine import lines
-from estimator.identification.machine.harmonic_fit import RECORD_PIECES, fit_found_harmonics, refine_harmonics
+from estimator.identification.residual import lines
+from estimator.identification.residual.harmonic_fit import RECORD_PIECES, fit_found_harmonics, refine_harmonics
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.search import search
 from estimator.likelihood.fitting.gauss_newton import fit_model

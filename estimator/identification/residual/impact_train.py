@@ -24,7 +24,7 @@ from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.line_spectrum import LineSpectrum
 
-from . import beyond_harmonics
+from . import harmonic_fit
 
 SEARCHED_HARMONICS = 12  # of each candidate frequency in the blind search
 MAX_LINE_POWER_RATIO = 20.0  # power over noise that one harmonic may contribute
@@ -197,12 +197,12 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
     F, unit : (harmonics,) N of the force by the mean tangent at location i, and of the noise near each harmonic.
     """
     over = F / unit
-    seen = (over**2 > VISIBLE_POWER_RATIO) & beyond_harmonics.residual_tells(point, hz * np.arange(1.0, over.size + 1))
+    seen = (over**2 > VISIBLE_POWER_RATIO) & harmonic_fit.residual_tells(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
         return False
-    left = beyond_harmonics.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
+    left = harmonic_fit.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
     over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
-    return bool(np.sum(over_noise) < beyond_harmonics.MIN_UNEXPLAINED_REL**2 * np.sum(over[seen] ** 2))
+    return bool(np.sum(over_noise) < harmonic_fit.MIN_UNEXPLAINED_REL**2 * np.sum(over[seen] ** 2))
 
 
 def _defect_finding(

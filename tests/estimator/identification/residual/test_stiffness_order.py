@@ -15,7 +15,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.machine import stiffness_order
+from estimator.identification.residual import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate

@@ -15,7 +15,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.machine import lines
+from estimator.identification.residual import lines
 from estimator.identification.search import search
 from estimator.likelihood.motion.prepare import prepare
 from estimator.signals.line_spectrum import line_spectrum, local_noise

@@ -17,8 +17,8 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.residual import measured_path
 from estimator.identification.search import search
-from estimator.identification.structure import measured_path
 from estimator.model.rig import EffectUse, Model
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Finding
-from estimator.identification.machine import impact_train as strikes
-from estimator.identification.machine import lines as line_forces
+from estimator.identification.residual import impact_train as strikes
+from estimator.identification.residual import lines as line_forces
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter

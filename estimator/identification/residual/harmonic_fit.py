@@ -4,6 +4,9 @@ Near the right parameters the residual force, demodulated in pieces of the recor
 frequency turns the phase from piece to piece. One weighted least-squares step removes them. The line that a force makes
 in the motion is read through the mean tangents of the model, so their uncertainty is added to the scatter of the random
 force.
+
+Nonlinear laws make harmonics and sums of strong lines. The mean tangent reads them as forces; the residual force, from
+which the laws are subtracted, holds real forces only.
 """
 
 from __future__ import annotations
@@ -35,10 +38,13 @@ from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
+from estimator.signals.band_limit import passband
 
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
 RECORD_PIECES = 16  # of equal length, to see a phase that drifts
 MAX_STEPS = 8  # of the parameters at one working point
+MIN_BAND_GAIN = 0.9  # of the band filter, at a frequency that counts as in the band
+MIN_UNEXPLAINED_REL = 0.5  # residual amplitude over that by the mean tangent: with less the laws explain the line
 SETTLED_STEP_SD = 0.1  # of the last step, in standard deviations
 
 
@@ -241,3 +247,16 @@ def demodulate(force: Series, angle: Array, count: int) -> Complexes:
     k = np.arange(1, count + 1)
     F = np.fft.rfft(folded, axis=1)[:, 1 : count + 1] * np.exp(-1j * np.pi * k / bins) / np.sinc(k / bins)
     return np.asarray(2 * F / np.bincount(pieces)[:, None])
+
+
+def residual_harmonics(point: WorkingPoint, i: int, angle: Array, count: int) -> Complexes:
+    """(count,) harmonics of the residual force at location i over an angle (n,) rad, N, under a window."""
+    window = np.sin(np.pi * (np.arange(RECORD_PIECES) + 0.5) / RECORD_PIECES) ** 2
+    return np.asarray(np.average(demodulate(point.force[i], angle, count), axis=0, weights=window))
+
+
+def residual_tells(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
+    """(f,) whether the residual force is the better reading of a line: in the band, if the model has laws."""
+    if not point.placed:
+        return np.zeros(f_hz.size, bool)
+    return np.asarray(passband(f_hz, point.data.rate_hz, point.data.band) > MIN_BAND_GAIN)

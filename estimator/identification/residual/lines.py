@@ -24,7 +24,6 @@ from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.finding import Finding
-from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.motion.harmonics import cap_force_per_shaft_force, known_lines
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
@@ -34,7 +33,8 @@ from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import corrected_record
 from estimator.signals.line_spectrum import LineSpectrum, line_spectrum, order_spectrum, residual_spectrum
 
-from . import beyond_harmonics, impact_train
+from . import harmonic_fit, impact_train
+from .missing_force import NEGLIGIBLE_FORCE_SHARE
 
 NOISE_MARGIN_REL = 1.3  # of a line's power over the threshold, as the local noise is known to about 10 %
 FALSE_LINE_CHANCE = 1e-4  # of one false line in a record, in a blind search
@@ -291,11 +291,11 @@ def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> N
     that they make is smaller than F.
     """
     data = point.data
-    if data.measured_force or not beyond_harmonics.residual_tells(point, np.array([hz]))[0]:
+    if data.measured_force or not harmonic_fit.residual_tells(point, np.array([hz]))[0]:
         return np.zeros(F.size, bool)
     angle = order * data.phase if order else 2 * np.pi * hz * data.t
-    residual = np.array([beyond_harmonics.residual_harmonics(point, i, angle, 1)[0] for i in range(F.size)])
-    return np.asarray(np.abs(residual) < beyond_harmonics.MIN_UNEXPLAINED_REL * np.abs(F))
+    residual = np.array([harmonic_fit.residual_harmonics(point, i, angle, 1)[0] for i in range(F.size)])
+    return np.asarray(np.abs(residual) < harmonic_fit.MIN_UNEXPLAINED_REL * np.abs(F))
 
 
 def _cap_forces_of_disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:

@@ -24,12 +24,13 @@ from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
 from estimator.effects.places import at, written
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
-from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, fault_response, measured_force_places
+
+from .missing_force import NEGLIGIBLE_FORCE_SHARE
 
 MAX_CELLS, SINGLE_BIN_CELLS, MIN_CELLS = 900, 20, 100  # of the band; of one bin at its lower end; to judge a path
 INDEPENDENT_PER_BIN = 0.439  # numbers per bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
