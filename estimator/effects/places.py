@@ -1,8 +1,9 @@
 """Where an effect of a model acts, and with which numbers.
 
 Canonical places. scope "direction": "bearing1.x". scope "node": "bearing1" (one set of parameters for x and y). scope
-"bearings": the direction at the first bearing, "bearing1.x". kind disc or shaft: "disc". kind sensor: the place of the
-channel. A node-scope entry written "bearing1.x" (or a direction-scope entry written "bearing1") is understood.
+"bearings": the direction at the first of two bearings, "bearing1.x". kind disc or shaft: a disc, such as "disc". kind
+sensor: the place of the channel. A node-scope entry written "bearing1.x" (or a direction-scope entry written
+"bearing1") is understood.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
-from estimator.model.rig import BEARING_NODES, CAP_DIRECTIONS, EffectUse, Model, Setting
+from estimator.model.rig import CAP_DIRECTIONS, EffectUse, Model, Setting
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:
@@ -32,14 +33,14 @@ def places(effect: Effect, model: Model) -> tuple[str, ...]:
     """
     caps = model.places or tuple(model.linear)
     if effect.kind in ("disc", "shaft"):
-        return ("disc",) if model.shaft != "none" else ()
+        return model.discs if effect.kind == "disc" or model.rotor is None else ()
     if effect.scope == "bearings":
-        both = (d for d in CAP_DIRECTIONS if all(f"{n}.{d}" in caps for n in BEARING_NODES))
-        return tuple(f"{BEARING_NODES[0]}.{d}" for d in both)
+        both = (d for d in CAP_DIRECTIONS if all(f"{n}.{d}" in caps for n in model.bearings))
+        return tuple(f"{model.bearings[0]}.{d}" for d in both) if len(model.bearings) == 2 else ()
     if effect.scope == "node":
-        measured = ([f"{n}.{d}" in caps for d in CAP_DIRECTIONS] for n in BEARING_NODES)
+        measured = ([f"{n}.{d}" in caps for d in CAP_DIRECTIONS] for n in model.bearings)
         enough = any if effect.one_direction else all
-        return tuple(n for n, own in zip(BEARING_NODES, measured, strict=True) if enough(own))
+        return tuple(n for n, own in zip(model.bearings, measured, strict=True) if enough(own))
     return tuple(caps)
 
 
@@ -50,10 +51,10 @@ def at(effect: Effect, use: EffectUse, model: Model) -> tuple[str, ...]:
     for written in use.parameters:
         node = written.split(".")[0]
         matches = [p for p in can if p in (written, node) or p.split(".")[0] == written]
-        if effect.kind in ("disc", "shaft"):
-            matches = list(can)
+        if effect.kind in ("disc", "shaft") and written not in can:
+            matches = [p for p in can if p == written] or list(can[:1])
         if effect.scope == "bearings":
-            matches = [p for p in can if written in BEARING_NODES or written.split(".")[-1] == p.split(".")[1]]
+            matches = [p for p in can if written in model.bearings or written.split(".")[-1] == p.split(".")[1]]
         if effect.kind == "sensor" and not matches:
             matches = [c.place for c in model.channels if c.name == written]
         if not matches:
@@ -94,9 +95,9 @@ def written(effect: Effect, use: EffectUse, model: Model, place: str) -> dict[st
 
     def holds(key: str) -> bool:
         if effect.scope == "bearings":
-            return key in BEARING_NODES or key.endswith(place[-2:])
+            return key in model.bearings or key.endswith(place[-2:])
         same = effect.scope == "node" and key.split(".")[0] == node
-        return same or key in (place, node, *names) or effect.kind in ("disc", "shaft")
+        return same or key in (place, node, *names) or (effect.kind in ("disc", "shaft") and key not in model.discs)
 
     out: dict[str, Setting] = {}
     for key in sorted(filter(holds, use.parameters), key=lambda key: (key != place, key != node)):

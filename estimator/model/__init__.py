@@ -18,6 +18,8 @@ from .rig import (
     Setting,
     Shaft,
 )
+from .rotor import assemble
+from .rotor_matrices import RotorMatrices, reduced_rotor
 
 __all__ = [
     "AntiAlias",
@@ -33,11 +35,14 @@ __all__ = [
     "MachineClass",
     "Model",
     "BEARING_NODES",
+    "RotorMatrices",
     "Setting",
     "Shaft",
     "Theory",
     "LINEAR_UNITS",
+    "assemble",
     "kinematics",
+    "reduced_rotor",
     "taylor",
     "theory",
 ]

@@ -39,36 +39,9 @@ class Disc:
         return float(np.sqrt(self.K / self.m))
 
     @property
-    def held(self) -> tuple[float, float]:
-        """N/m and N s/m that the shaft holds a cap by while the disc and the other cap stand still, by a spring of its
-        own: that of a chain."""
-        return (self.ks, self.cs) if self.shaft == "chain" else (0.0, 0.0)
-
-    @property
     def comb_hz(self) -> tuple[float, float]:
         """Where a model whose shaft breathes is not judged."""
         return NEAR_RESONANCE_REL[0] * self.w0 / (2 * np.pi), NEAR_RESONANCE_REL[1] * self.w0 / (2 * np.pi)
-
-    def at_caps(self, places: tuple[str, ...], w: Array | Complexes) -> Complexes:
-        """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
-        D = np.zeros((w.size, len(places), len(places)), complex)
-        caps, _ = shaft_at_caps(self.shaft, self.ks, self.cs, self.m, w)
-        for i, p in enumerate(places):
-            for j, q in enumerate(places):
-                if p.split(".")[1] == q.split(".")[1]:
-                    D[:, i, j] = caps[:, int(p[7]) - 1, int(q[7]) - 1]
-        return D
-
-    def joined(self, places: tuple[str, ...]) -> tuple[Array, Array, Array]:
-        """(discs,) kg, one of each direction, and damping and stiffness (n, n) of the shaft that the measured caps and
-        then these are joined by: as they are, C and K are of a first look."""
-        between = [at for d in "xy" if (at := [i for i, p in enumerate(places) if p.endswith(d)])]
-        n = len(places) + len(between)
-        unit = np.zeros((n, n))
-        for k, at in enumerate(between, len(places)):
-            own = [int(places[i][7]) - 1 for i in at]
-            unit[np.ix_([*at, k], [*at, k])] += shaft_matrix(self.shaft, 1.0)[np.ix_([*own, 2], [*own, 2])]
-        return np.full(len(between), self.m), self.cs * unit, self.ks * unit
 
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""
@@ -114,9 +87,9 @@ class Disc:
 
 
 def disc_of(model: Model) -> Disc | None:
-    """None without a disc on a shaft."""
+    """None without one disc on a massless shaft."""
     m, ks, cs = model.mass.get("disc", 0.0), model.shaft_stiffness, model.shaft_damping
-    if model.shaft == "none" or m <= 0.0 or ks <= 0.0:
+    if model.shaft not in ("chain", "beam") or m <= 0.0 or ks <= 0.0:
         return None
     own = float(shaft_matrix(model.shaft, 1.0)[2, 2])
     C = max(own * cs, 2.0 * MIN_DAMPING_RATIO * float(np.sqrt(own * ks * m)))

@@ -15,9 +15,10 @@ from typing import Literal
 from .background import Background
 from .effect import Effect
 from .recorder import AntiAlias
+from .rotor_matrices import RotorMatrices
 
-Shaft = Literal["chain", "beam", "none"]
-BEARING_NODES = ("bearing1", "bearing2")
+Shaft = Literal["chain", "beam", "matrices", "none"]
+BEARING_NODES = ("bearing1", "bearing2")  # names of bearings that have no other
 CAP_DIRECTIONS = ("x", "y")
 LINEAR_UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
 MOTION_UNITS = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # by kind
@@ -53,7 +54,7 @@ class Channel:
     name : str
         As in the rig file.
     node : str
-        "bearing1" or "bearing2"; "shaft" of a tacho.
+        Name of the bearing, such as "bearing1"; "shaft" of a tacho.
     direction : str
         "x" or "y"; "" of a tacho.
     kind : str
@@ -192,10 +193,16 @@ class Model:
         In the order of the columns of a record.
     band : (float, float)
         Lower and upper edge of the analysed band, Hz.
-    shaft : {"chain", "beam", "none"}
-        Form of the stiffness of the massless shaft between caps and disc; "none": caps on their own.
+    shaft : {"chain", "beam", "matrices", "none"}
+        Form of the stiffness of the massless shaft between caps and disc; "matrices": `rotor`; "none": caps on their
+        own.
     mass : mapping of str to float
-        kg, keys "disc", "bearing1", "bearing2", or "bearing1.x" where directions differ. An absent mass is unknown.
+        kg, keys "disc", "bearing1", "bearing2", or "bearing1.x" where directions differ. An absent mass is unknown;
+        with `rotor` it is what moves with the bearing's node beside the matrices, 0 if absent.
+    rotor : RotorMatrices or None
+        Shaft and discs of the shaft "matrices".
+    bearings : tuple of str
+        Names of the bearings.
     shaft_stiffness : float
         N/m, the factor of the shaft's stiffness matrix.
     shaft_damping : float
@@ -235,6 +242,8 @@ class Model:
     _: KW_ONLY
     shaft_stiffness: float = 0.0
     shaft_damping: float = 0.0
+    rotor: RotorMatrices | None = None
+    bearings: tuple[str, ...] = BEARING_NODES
     speed_rpm: float | None = None
     ball_pass_order: float | None = None
     order_found: bool = False
@@ -253,13 +262,19 @@ class Model:
     def places(self) -> tuple[str, ...]:
         """Measured cap places in the order of the channels, each once: the degrees of freedom of a fit."""
         seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION_UNITS)
-        return tuple(p for p in seen if p.split(".")[0] in BEARING_NODES and p.split(".")[1] in CAP_DIRECTIONS)
+        return tuple(p for p in seen if p.split(".")[0] in self.bearings and p.split(".")[1] in CAP_DIRECTIONS)
 
     @property
     def tacho(self) -> int | None:
         """Number of the channel of a tacho; None without one."""
         return next((i for i, c in enumerate(self.channels) if c.kind == "tacho"), None)
 
+    @property
+    def discs(self) -> tuple[str, ...]:
+        """Names of the discs on the shaft."""
+        return self.rotor.discs if self.rotor is not None else () if self.shaft == "none" else ("disc",)
+
     def cap_mass(self, place: str) -> float | None:
-        """Mass in kg of the cap at a place such as "bearing1.x"; None if unknown."""
-        return self.mass.get(place, self.mass.get(place.split(".")[0]))
+        """Mass in kg at a place such as "bearing1.x", with that of a given rotor there; None if unknown."""
+        own = self.mass.get(place, self.mass.get(place.split(".")[0]))
+        return own if self.rotor is None else (own or 0.0) + self.rotor.bearing_mass(place)

@@ -1,6 +1,6 @@
 """Linear rotor: shaft, disc and bearing matrices, disc elimination, modes, stationary response.
 
-One transverse direction at a time; the other is identical. Nodes in the order of `BEARING_NODES` and then "disc".
+One transverse direction at a time; the other is identical. Nodes in the order of the bearings and then "disc".
 Restoring convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408 (equation numbers
 below).
 """
@@ -16,7 +16,8 @@ from scipy.linalg import eigh, expm, solve_continuous_lyapunov
 from estimator.arrays import Array
 from estimator.errors import ModelError
 
-from .rig import BEARING_NODES, CAP_DIRECTIONS, Model, Shaft
+from .rig import CAP_DIRECTIONS, Model, Shaft
+from .rotor_matrices import Rotor, RotorMatrices, lumped_rotor
 
 Complex = NDArray[np.complex128]
 
@@ -90,12 +91,19 @@ def shaft_at_caps(
     return caps, follow[:, 0, :]
 
 
-def between_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array | Complex) -> Complex:
-    """(f,) what `shaft_at_caps` has between the two caps, N/m, without its matrices."""
-    iw = 1j * np.asarray(omega)
-    k, c = shaft_matrix(shaft, stiffness), shaft_matrix(shaft, damping)
-    first, second, own = k[0, 2] + iw * c[0, 2], k[2, 1] + iw * c[2, 1], k[2, 2] + iw * c[2, 2] + iw**2 * disc
-    return np.asarray(k[0, 1] + iw * c[0, 1] - first * second / own)
+def rotor_matrices(model: Model) -> RotorMatrices | None:
+    """The shaft of a model with its discs, whatever its form; None without one, or where its disc has no mass."""
+    disc = model.mass.get("disc", 0.0)
+    if model.shaft in ("none", "matrices") or model.shaft_stiffness <= 0.0 or disc <= 0.0:
+        return model.rotor if model.shaft == "matrices" else None
+    C, K = shaft_matrix(model.shaft, model.shaft_damping), shaft_matrix(model.shaft, model.shaft_stiffness)
+    return lumped_rotor(model.bearings, disc, C, K)
+
+
+def rotor_of(model: Model) -> Rotor | None:
+    """Shaft and discs as the measured caps of a model move them; None without a shaft."""
+    rotor = rotor_matrices(model)
+    return None if rotor is None else rotor.at(model.places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,27 +150,34 @@ class Assembly:
 
 def assemble(model: Model) -> Assembly:
     """Matrices of a model whose linear part is complete. Raises ModelError naming every value that is missing."""
-    wanted = set(model.places) | set(model.linear)
+    wanted, rotor = {*model.places, *model.linear}, rotor_matrices(model)
+    of_rotor = () if rotor is None else rotor.dofs
     dofs: list[str] = []
-    missing: list[str] = []
+    missing = ["mass of disc"] if model.shaft in SHAFT_MATRICES and model.discs and "disc" not in model.mass else []
     for d in CAP_DIRECTIONS:
-        caps = [f"{n}.{d}" for n in BEARING_NODES if f"{n}.{d}" in wanted]
-        if caps and model.shaft != "none":
-            if len(caps) == 1:
-                raise ModelError(f'shaft "{model.shaft}" joins two bearings, direction {d} has one; use shaft = "none"')
-            caps.append(f"disc.{d}")
-        dofs += caps
+        caps = [dof for n in model.bearings if (dof := f"{n}.{d}") in wanted]
+        if len(caps) == 1 and model.shaft in ("chain", "beam"):
+            raise ModelError(f'shaft "{model.shaft}" joins two bearings, direction {d} has one; use shaft = "none"')
+        if caps:
+            dofs += dict.fromkeys([*caps, *(dof for dof in of_rotor if dof.endswith("." + d))])
     if not dofs:
         raise ModelError("no bearing cap in the model: name at least one acceleration channel")
     n = len(dofs)
-    M, C, K, S = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    M, C, K, S = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    if rotor is not None:
+        own = [of_rotor.index(dof) if dof in of_rotor else -1 for dof in dofs]
+        at = [i for i, k in enumerate(own) if k >= 0]
+        part = rotor.only([own[i] for i in at])
+        for target, given in ((M, part.M), (C, part.C), (K, part.K)):
+            target[np.ix_(at, at)] = given
     for i, dof in enumerate(dofs):
-        mass = model.mass.get("disc") if dof.startswith("disc") else model.cap_mass(dof)
-        if mass is None:
-            missing.append(f"mass of {dof.split('.')[0] if dof.startswith('disc') else dof}")
-        M[i] = mass or 0.0
-        if dof.startswith("disc"):
+        node = dof.split(".")[0]
+        if node not in model.bearings:
             continue
+        mass = model.mass.get(dof, model.mass.get(node, None if model.rotor is None else 0.0))
+        if mass is None:
+            missing.append(f"mass of {dof}")
+        M[i, i] += mass or 0.0
         settings = model.linear.get(dof, {})
         for key, target in (("kL", K[i, i : i + 1]), ("c", C[i, i : i + 1]), ("S", S[i : i + 1])):
             value = settings[key].value if key in settings else None
@@ -172,13 +187,7 @@ def assemble(model: Model) -> Assembly:
                 target += value
     if missing:
         raise ModelError(f"the model has no value for {', '.join(missing)}: give them in the rig file, or fit first")
-    if model.shaft != "none":
-        for d in CAP_DIRECTIONS:
-            at = [i for i, dof in enumerate(dofs) if dof.endswith("." + d)]
-            if at:
-                K[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_stiffness)
-                C[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_damping)
-    return Assembly(dofs=tuple(dofs), M=np.diag(M), C=C, K=K, S=S)
+    return Assembly(dofs=tuple(dofs), M=M, C=C, K=K, S=S)
 
 
 def linear_covariance(M: Array, C: Array, K: Array, Q: Array) -> Array:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 
+Terms = Sequence[tuple[Array, Callable[[Array], Complexes]]]
 MAX_SAMPLE_SI = 1e15  # no sensor reads more: a larger sample counts as missing, as its powers would overflow
 DRIFT_OVER_LOW_EDGE = 0.05  # share of the lower band edge below which a displacement sensor shows offset and drift
 FORCE_DRIFT_OVER_LOW_EDGE = 0.02  # share of the lower band edge below which a force sensor shows offset and drift
@@ -50,7 +51,7 @@ class BandLimitedMotion:
     """Band-limited rows start ... start + n - 1 of each channel, SI.
 
     a, v, x : (channels, n); for a channel of kind force, `a` holds the force and v, x are zero.
-    u : (channels, n), the extra output (see BandLimit) or an array of no channels.
+    u : (channels, n), the extra outputs (see BandLimit) or an array of no channels.
     valid : (n,) bool, no missing sample in the support of the filters, in any channel.
     slow : (channels, n) displacement below the band as sensors of displacement measure it, zero for others; None where
         there are none, or it was not asked for.
@@ -114,7 +115,7 @@ def unmeasured_gain(f_hz: Array, rate_hz: float, band: tuple[float, float], kind
 def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     """Half the support of the filters, rows: the loss at each end of a record and beside each gap.
 
-    With the extra output of BandLimit all filters are RESONANT_FILTER_LENGTHS times as long.
+    With the extra outputs of BandLimit all filters are RESONANT_FILTER_LENGTHS times as long.
     """
     stop1, pass1, pass2, stop2 = filter_edges_hz(rate_hz, band)
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
@@ -175,7 +176,7 @@ def _held(
     resonance near the lower edge the linear part begins beyond these bins.
     """
     low, high = band
-    width = 2 * RESONANT_FILTER_LENGTHS * rate_hz / half  # left out on either side of it: balance.shaft_notch
+    width = 2 * RESONANT_FILTER_LENGTHS * rate_hz / half  # left out on either side of it: balance.shaft_notches
     about = np.linspace(low - width, low + width, EDGE_SEARCH_POINTS)
     peak = int(np.argmax(np.abs(response(about))))
     if 0 < peak < EDGE_SEARCH_POINTS - 1:
@@ -220,7 +221,8 @@ class BandLimit:
     Row k comes out once rows to k + half (and a full block) are in.
 
     kinds : of each channel: acceleration, velocity, displacement or force.
-    extra : response(f_hz) from displacement to one more output, `Motion.u` (the shaft's reaction, for instance).
+    extra : terms of one more output `Motion.u` of the first channels (the forces through a shaft, for instance): real
+        matrices (outputs, displacements of the first channels), each times a response(f_hz).
     slow : whether `Motion.slow` is asked for.
     undone : response(f_hz) of the recorder, measured over true, that is undone in every output. None: 1.
     dtype : of the outputs of `push` and `flush`.
@@ -231,26 +233,25 @@ class BandLimit:
         kinds: Sequence[str],
         rate_hz: float,
         band: tuple[float, float],
-        extra: Callable[[Array], Complexes] | None = None,
+        extra: Terms = (),
         slow: bool = False,
         undone: Callable[[Array], Complexes] | None = None,
         dtype: type[np.floating[Any]] = np.float64,
     ) -> None:
         self.kinds, self.rate_hz, self.band, self._dtype = tuple(kinds), rate_hz, band, dtype
-        self.half = half_length(rate_hz, band) * (1 if extra is None else RESONANT_FILTER_LENGTHS)
+        self.half = half_length(rate_hz, band) * (RESONANT_FILTER_LENGTHS if extra else 1)
         self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
         slow = slow and "displacement" in self.kinds
-        self.outputs = ("a", "v", "x", *(["u"] if extra is not None else []), *(["slow"] if slow else []))
+        self.outputs = ("a", "v", "x", *(["u"] if extra else []), *(["slow"] if slow else []))
         self._filters: dict[str, Complexes] = {}
-        held = None
-        if extra is not None and set(self.kinds) != {"force"}:
-            held = _held(extra, rate_hz, band, self.half)
+        self._joining = [np.asarray(matrix, dtype=np.float64) for matrix, _ in extra]
+        held = [_held(response, rate_hz, band, self.half) for _, response in extra]
         for kind in set(self.kinds):
             responses = [_power(e) for e in _POWERS_OF_IW[kind]]
-            if held is not None and kind != "force":
+            if kind != "force":
                 p = _POWERS_OF_IW[kind][2]
-                responses.append(lambda f, p=p: (2j * np.pi * f) ** float(p) * held(f))  # type: ignore[misc]
+                responses += [lambda f, p=p, h=h: (2j * np.pi * f) ** float(p) * h(f) for h in held]  # type: ignore[misc]
             taps = np.array([_taps(r, rate_hz, band, self.half, undone) for r in responses])
             if slow and kind == "displacement":
                 taps = np.vstack([taps, _slow_taps(rate_hz, band, self.half)])
@@ -309,11 +310,19 @@ class BandLimit:
         whole = bool(finite.all())
         spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)
         out = np.zeros((len(self.outputs), len(self.kinds), self._hop), dtype)
+        single, through = np.result_type(dtype, np.complex64), [3 + k for k in range(len(self._joining))]
+        passed = []
         for k, kind in enumerate(self.kinds):
             filters = self._filters[kind]
-            product = np.multiply(filters, spectra[k], dtype=np.result_type(dtype, np.complex64), casting="same_kind")
-            series = np.fft.irfft(product, self._size, axis=1)
-            out[: len(filters), k] = series[:, 2 * self.half :]
+            product = np.multiply(filters, spectra[k], dtype=single, casting="same_kind")
+            own = [i for i in range(len(filters)) if i not in through]
+            series = np.fft.irfft(product[own] if through else product, self._size, axis=1)[:, 2 * self.half :]
+            out[[i if i < 3 else len(self.outputs) - 1 for i in own], k] = series
+            passed.append(product[3 : 3 + len(through)])
+        if through:
+            each = np.stack(passed[: len(self._joining[0])], axis=1)
+            joined = np.einsum("kij,kjf->if", np.asarray(self._joining, dtype), each)
+            out[3, : len(self._joining[0])] = np.fft.irfft(joined, self._size, axis=1)[:, 2 * self.half :]
         if whole:
             return out, np.ones(self._hop, bool)
         missing = np.concatenate([[0], np.cumsum(~finite.all(axis=0))])
@@ -343,7 +352,7 @@ def band_limit(
     kinds: Sequence[str],
     rate_hz: float,
     band: tuple[float, float],
-    extra: Callable[[Array], Complexes] | None = None,
+    extra: Terms = (),
     undone: Callable[[Array], Complexes] | None = None,
 ) -> BandLimitedMotion:
     """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""

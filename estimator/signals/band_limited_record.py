@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.parallel import map_threads
 
-from .band_limit import BandLimit, BandLimitedMotion
+from .band_limit import BandLimit, BandLimitedMotion, Terms
 
 
 class BandLimitedRecord(BandLimit):
@@ -23,7 +23,7 @@ class BandLimitedRecord(BandLimit):
         kinds: Sequence[str],
         rate_hz: float,
         band: tuple[float, float],
-        extra: Callable[[Array], Complexes] | None = None,
+        extra: Terms = (),
         slow: bool = False,
         undone: Callable[[Array], Complexes] | None = None,
         columns: Sequence[int] | None = None,

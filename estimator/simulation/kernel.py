@@ -1,7 +1,7 @@
 """Time stepping in compiled code: two schemes with the force held over the step, and the decimation.
 
-State x, v: three slots for each direction (bearing1, bearing2, disc; a slot that the rig lacks stays zero) and one
-more slot that is always zero, for "no such degree of freedom". z: memory states. Effects are called by address. The
+State x, v: the degrees of freedom, in groups of as many slots (a slot without one stays zero), and one more slot that
+is always zero, for "no such degree of freedom". z: memory states. Effects are called by address. The
 output of a step is its average: (v1 - v0) / h is the mean acceleration over the step for any force. So
 acceleration, velocity, displacement and force all pass the same box filter of length h, centred on the step.
 
@@ -19,7 +19,6 @@ from estimator.effects.engine.compiled import call_force_at, call_memory_at, cal
 
 LAW_FORCE, LAW_SHAFT, LAW_MEMORY = 0, 1, 2  # kinds of laws in the effect table
 CHANNEL_ACCELERATION, CHANNEL_VELOCITY, CHANNEL_DISPLACEMENT, CHANNEL_FORCE = 0, 1, 2, 3  # kinds of channels
-SLOTS_PER_DIRECTION = 3  # bearing1, bearing2, disc
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -51,15 +50,16 @@ def _effects(x, v, z, t, phase, table, f, dz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _accelerate(x, v, F, f, K, C, m, a):  # type: ignore[no-untyped-def]
-    """Fill a = (F - f - K x - C v) / m; K, C (directions, 3, 3)."""
+def _accelerate(x, v, F, f, K, C, Mi, a):  # type: ignore[no-untyped-def]
+    """Fill a = Mi (F - f) - K x - C v; Mi, K, C (groups, width, width): inverse mass, and it times K and C."""
+    width = K.shape[1]
     for d in range(K.shape[0]):
-        o = SLOTS_PER_DIRECTION * d
-        for i in range(SLOTS_PER_DIRECTION):
-            r = F[o + i] - f[o + i]
-            for j in range(SLOTS_PER_DIRECTION):
-                r -= K[d, i, j] * x[o + j] + C[d, i, j] * v[o + j]
-            a[o + i] = r / m[o + i]
+        o = width * d
+        for i in range(width):
+            r = 0.0
+            for j in range(width):
+                r += Mi[d, i, j] * (F[o + j] - f[o + j]) - K[d, i, j] * x[o + j] - C[d, i, j] * v[o + j]
+            a[o + i] = r
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -82,10 +82,10 @@ def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[n
     """Advance x (m), v (m/s) and z by len(F) steps of h s with the classical Runge-Kutta rule.
 
     t0 : s, time of the first step. phase : (steps + 1,) rad, shaft angle. F : (steps, slots) N, held over a step.
-    table : of the effects. matrices : K, C (directions, 3, 3), m (slots,). chan : (channels, 2) kind and slot.
+    table : of the effects. matrices : those of `_accelerate`. chan : (channels, 2) kind and slot.
     out : (channels, steps), filled with the averages of the steps.
     """
-    K, C, m = matrices
+    K, C, Mi = matrices
     n, nz = x.size, z.size
     a1, a2, a3, a4, f = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     xs, x1, v1, v2, v3, v4 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -94,25 +94,25 @@ def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[n
         t, Fk = t0 + k * h, F[k]
         middle = 0.5 * (phase[k] + phase[k + 1])
         _effects(x, v, z, t, phase[k], table, f, d1)
-        _accelerate(x, v, Fk, f, K, C, m, a1)
+        _accelerate(x, v, Fk, f, K, C, Mi, a1)
         for i in range(n - 1):
             xs[i], v2[i] = x[i] + 0.5 * h * v[i], v[i] + 0.5 * h * a1[i]
         for i in range(nz):
             zs[i] = z[i] + 0.5 * h * d1[i]
         _effects(xs, v2, zs, t + 0.5 * h, middle, table, f, d2)
-        _accelerate(xs, v2, Fk, f, K, C, m, a2)
+        _accelerate(xs, v2, Fk, f, K, C, Mi, a2)
         for i in range(n - 1):
             xs[i], v3[i] = x[i] + 0.5 * h * v2[i], v[i] + 0.5 * h * a2[i]
         for i in range(nz):
             zs[i] = z[i] + 0.5 * h * d2[i]
         _effects(xs, v3, zs, t + 0.5 * h, middle, table, f, d3)
-        _accelerate(xs, v3, Fk, f, K, C, m, a3)
+        _accelerate(xs, v3, Fk, f, K, C, Mi, a3)
         for i in range(n - 1):
             xs[i], v4[i] = x[i] + h * v3[i], v[i] + h * a3[i]
         for i in range(nz):
             zs[i] = z[i] + h * d3[i]
         _effects(xs, v4, zs, t + h, phase[k + 1], table, f, d4)
-        _accelerate(xs, v4, Fk, f, K, C, m, a4)
+        _accelerate(xs, v4, Fk, f, K, C, Mi, a4)
         for i in range(n - 1):
             x1[i] = x[i] + h / 6.0 * (v[i] + 2.0 * v2[i] + 2.0 * v3[i] + v4[i])
             v1[i] = v[i] + h / 6.0 * (a1[i] + 2.0 * a2[i] + 2.0 * a3[i] + a4[i])
@@ -127,10 +127,11 @@ def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[n
 def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
     """Advance x, v and z by len(F) steps with the exponential rule: exact for the linear rotor at any step.
 
-    matrices : E (directions, 6, 6), G0, G1 (directions, 6, 3), the propagator of the rotor. The other arguments are
-    those of `rk4`.
+    matrices : E (groups, 2 width, 2 width), G0, G1 (groups, 2 width, width), the propagator of the rotor. The other
+    arguments are those of `rk4`.
     """
     E, G0, G1 = matrices
+    width = G0.shape[2]
     n, nz = x.size, z.size
     f, f1, x1, v1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     zs, d1, d2 = np.zeros(nz), np.zeros(nz), np.zeros(nz)
@@ -138,17 +139,17 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
         t, Fk = t0 + k * h, F[k]
         _effects(x, v, z, t, phase[k], table, f, d1)
         for d in range(E.shape[0]):
-            o = SLOTS_PER_DIRECTION * d
-            for i in range(SLOTS_PER_DIRECTION):
+            o = width * d
+            for i in range(width):
                 xi, vi = 0.0, 0.0
-                for j in range(SLOTS_PER_DIRECTION):
+                for j in range(width):
                     g = Fk[o + j] - f[o + j]
-                    xi += E[d, i, j] * x[o + j] + E[d, i, SLOTS_PER_DIRECTION + j] * v[o + j] + G0[d, i, j] * g
+                    xi += E[d, i, j] * x[o + j] + E[d, i, width + j] * v[o + j] + G0[d, i, j] * g
                     vi += (
-                        E[d, SLOTS_PER_DIRECTION + i, j] * x[o + j]
-                        + E[d, SLOTS_PER_DIRECTION + i, SLOTS_PER_DIRECTION + j] * v[o + j]
+                        E[d, width + i, j] * x[o + j]
+                        + E[d, width + i, width + j] * v[o + j]
                     )
-                    vi += G0[d, SLOTS_PER_DIRECTION + i, j] * g
+                    vi += G0[d, width + i, j] * g
                 x1[o + i], v1[o + i] = xi, vi
         if table[0].size:
             for i in range(nz):
@@ -157,13 +158,13 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
             for i in range(nz):
                 z[i] += 0.5 * h * (d1[i] + d2[i])
             for d in range(E.shape[0]):
-                o = SLOTS_PER_DIRECTION * d
-                for i in range(SLOTS_PER_DIRECTION):
+                o = width * d
+                for i in range(width):
                     xi, vi = 0.0, 0.0
-                    for j in range(SLOTS_PER_DIRECTION):
+                    for j in range(width):
                         g = f[o + j] - f1[o + j]
                         xi += G1[d, i, j] * g
-                        vi += G1[d, SLOTS_PER_DIRECTION + i, j] * g
+                        vi += G1[d, width + i, j] * g
                     x1[o + i] += xi
                     v1[o + i] += vi
         _emit(out, k, chan, x, v, x1, v1, Fk, h)

@@ -13,7 +13,7 @@ from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, values
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
-from estimator.model.rig import BEARING_NODES, CAP_DIRECTIONS, Model
+from estimator.model.rig import CAP_DIRECTIONS, Model
 from estimator.model.rotor import Assembly, assemble
 
 from . import kernel as kernel
@@ -78,7 +78,7 @@ def simulation_plan(model: Model) -> Plan:
                 hit = [i for i, c in enumerate(model.channels) if c.place == place and c.kind not in ("force", "tacho")]
                 sensors += [(i, effect, p) for i in hit]
             elif effect.scope == "bearings":
-                i, j = (rig.index(f"{n}.{place.split('.')[1]}") for n in BEARING_NODES)
+                i, j = (rig.index(f"{n}.{place.split('.')[1]}") for n in model.bearings)
                 correlation.append((i, j, float(p[0])))
             elif effect.kind == "excitation" and effect.shape is not None:
                 shapes.append((rig.index(place), effect.shape, p))
@@ -108,40 +108,49 @@ def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -
 
         s = 1.0 if d == "x" else -1.0
         if effect.kind in ("disc", "shaft"):
-            here, across = ([dof(f"{n}.{along}") for n in BEARING_NODES] for along in (d, other))
-            caps = [*here, dof(f"disc.{other}"), *across]
+            ends = model.bearings if effect.kind == "shaft" else ("", "")
+            here, across = ([dof(f"{n}.{along}") for n in ends] for along in (d, other))
+            caps = [*here, dof(f"{node}.{other}"), *across]
             code = kernel.LAW_SHAFT if effect.kind == "shaft" else kernel.LAW_FORCE
-            where = (code, rig.index(f"disc.{d}"), *caps)
+            where = (code, rig.index(f"{node}.{d}"), *caps)
             lin = (0.0, 0.0, 0.0)
         else:
             i = rig.index(f"{node}.{d}")
             code = kernel.LAW_MEMORY if effect.kind == "memory" else kernel.LAW_FORCE
             where = (code, i, -1, -1, dof(f"{node}.{other}"), -1, -1)
             linear = model.linear[f"{node}.{d}"]
-            lin = (float(rig.M[i, i]), float(linear["kL"].value or 0.0), float(linear["c"].value or 0.0))
+            mass = model.cap_mass(f"{node}.{d}") or 0.0
+            lin = (mass, float(linear["kL"].value or 0.0), float(linear["c"].value or 0.0))
         rows.append(ActingLaw(effect=effect, place=place, p=p, where=where, s=s, lin=lin))
     return rows
 
 
 @dataclass(frozen=True, slots=True)
 class Slots:
-    """Layout of the state: three slots per direction (bearing1, bearing2, disc), and a last slot that stays zero.
+    """Layout of the state: as many slots in each group of coupled degrees of freedom, and a last one that stays zero.
 
-    directions : those that the rig has, "x" and "y". of_dof : (dofs,) slot of each degree of freedom.
+    groups, width : number of groups (the directions, where nothing couples them) and of slots in each. of_dof : (dofs,)
+    slot of each degree of freedom.
     """
 
-    directions: tuple[str, ...]
+    groups: int
+    width: int
     of_dof: NDArray[np.int64]
 
     @classmethod
     def of(cls, rig: Assembly) -> Slots:
-        directions = tuple(d for d in CAP_DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs))
-        order = [f"{node}.{d}" for d in directions for node in (*BEARING_NODES, "disc")]
-        return cls(directions, np.array([order.index(dof) for dof in rig.dofs], dtype=np.int64))
+        along = np.array([CAP_DIRECTIONS.index(dof[-1]) for dof in rig.dofs])
+        coupled = np.abs(rig.M) + np.abs(rig.C) + np.abs(rig.K) > 0.0
+        if coupled[along[:, None] != along].any():
+            along[:] = 0
+        groups, group = np.unique(along, return_inverse=True)
+        width = int(np.bincount(group).max())
+        within = np.array([int((group[:i] == g).sum()) for i, g in enumerate(group)])
+        return cls(groups.size, width, np.asarray(group * width + within, dtype=np.int64))
 
     @property
     def count(self) -> int:
-        return kernel.SLOTS_PER_DIRECTION * len(self.directions) + 1
+        return self.groups * self.width + 1
 
     def vector(self, a: Array, fill: float = 0.0) -> Array:
         """(slots,) of values a (dofs,); `fill` in slots without a degree of freedom."""
@@ -150,9 +159,9 @@ class Slots:
         return out
 
     def blocks(self, A: Array, rows: int = 1, columns: int = 1) -> Array:
-        """(directions, 3 rows, 3 columns): the diagonal block of each direction of A (rows * dofs, columns * dofs)."""
-        n, w = len(self.of_dof), kernel.SLOTS_PER_DIRECTION
-        out = np.zeros((len(self.directions), rows * w, columns * w))
+        """(groups, rows width, columns width): the diagonal block of each group of A (rows * dofs, columns * dofs)."""
+        n, w = len(self.of_dof), self.width
+        out = np.zeros((self.groups, rows * w, columns * w))
         for i, a in enumerate(self.of_dof):
             for j, b in enumerate(self.of_dof):
                 if a // w == b // w:

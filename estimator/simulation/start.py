@@ -85,7 +85,8 @@ def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
     """
     for i, dof in enumerate(plan.rig.dofs):
         laws = [a for a in plan.acting if a.where[1] == i and a.effect.stationary_density and a.effect.force]
-        if not laws or not dof.startswith("bearing"):
+        laws = [a for a in laws if a.effect.kind == "force"]
+        if not laws:
             continue
         x = np.linspace(0.0, 60.0 * sigma[i], 6001)
         for side in (1.0, -1.0):

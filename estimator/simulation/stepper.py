@@ -48,8 +48,8 @@ class Stepper:
             E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
             self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
         else:
-            mass = self.slots.vector(np.diag(rig.M), 1.0)
-            self._matrices = self.slots.blocks(rig.K), self.slots.blocks(rig.C), mass
+            Mi = np.asarray(np.linalg.inv(rig.M), np.float64)
+            self._matrices = self.slots.blocks(Mi @ rig.K), self.slots.blocks(Mi @ rig.C), self.slots.blocks(Mi)
         self._channels = plan.channels.astype(np.uintp)
         self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
 

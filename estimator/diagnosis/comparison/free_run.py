@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_notch
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_notches
 from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
 from estimator.signals.blocks import block_layout, block_spectra, valid_blocks
@@ -89,8 +89,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
     good = measured.valid & simulated.valid
     good[:lead] = False
-    notch = shaft_notch(model)
-    grid = block_layout(rate_hz, model.band, () if notch is None else (notch,))
+    grid = block_layout(rate_hz, model.band, shaft_notches(model))
     blocks = valid_blocks(good, grid)
     if not blocks.size:
         raise DataError(f"the record is too short for a free run of {lead / rate_hz:.1f} s and what is compared after")

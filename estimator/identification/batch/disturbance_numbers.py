@@ -172,7 +172,7 @@ def _bow_of_imbalance(model: Model, imbalances: list[dict[str, Parameter]]) -> d
     if not imbalances:
         return {}
     rotation = np.array([2 * np.pi * (model.speed_rpm or 0.0) / 60.0])
-    through = complex(harmonics.cap_force_per_shaft_force(model, "bearing1.x", rotation)[0])
+    through = complex(harmonics.cap_force_per_shaft_force(model, "disc", model.places[0], rotation).sum())
     ratio = through / (through - 0.5)
     a, b = imbalances[0]["a"], imbalances[0]["b"]
     force = ratio * complex(a.value or 0.0, b.value or 0.0)

@@ -28,6 +28,7 @@ from estimator.likelihood.motion.located_law import has_nonlinear_memory
 from estimator.likelihood.motion.prepare import prepare, shortening_messages
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.modal_response import modal_responses
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
@@ -184,9 +185,16 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
 
 
 def stiffness_and_damping_held(point: WorkingPoint) -> tuple[Array, Array]:
-    """(places,) N/m and N s/m of the mean response of each cap with the disc held."""
+    """(places,) N/m and N s/m of the mean response of each cap with the disc held.
+
+    Of a given rotor: of an oscillator of the cap's mass with the mode that has most of its strain in the bearing.
+    """
     data = point.data
-    held = (0.0, 0.0) if data.disc is None else data.disc.held
+    if data.rotor is not None and data.disc is None:
+        responses = modal_responses(data.mass, point.mean_tangent, data.rotor)
+        main = [r.poles[np.argmax(np.abs(r.residues / r.poles))] for r in responses]
+        return data.mass * np.abs(main) ** 2, -2.0 * data.mass * np.real(main)
+    held = (0.0, 0.0) if data.rotor is None else data.rotor.held
     k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(held, (2, 1))
     return k, c
 

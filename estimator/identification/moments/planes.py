@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
 from estimator.effects import CATALOGUE
+from estimator.errors import ModelError
 from estimator.model.rig import CAP_DIRECTIONS, Model
 from estimator.results import Parameter
 
@@ -183,7 +184,9 @@ def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
 
 
 def planes_of(model: Model) -> tuple[Plane, ...]:
-    """One `Plane` per measured direction, caps in the order of `model.places`."""
+    """One `Plane` per measured direction, caps in the order of `model.places`. ModelError for a larger rotor."""
+    if model.rotor is not None or len(model.bearings) > 2:
+        raise ModelError('this method knows one disc between two bearings at most: use method = "spectral"')
     out = []
     for direction in CAP_DIRECTIONS:
         places = [p for p in model.places if p.endswith("." + direction)]

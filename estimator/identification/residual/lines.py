@@ -24,7 +24,7 @@ from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.finding import Finding
-from estimator.likelihood.motion.force_balance import shaft_notch
+from estimator.likelihood.motion.force_balance import shaft_notches
 from estimator.likelihood.motion.harmonics import cap_force_per_shaft_force, known_lines
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
@@ -89,8 +89,7 @@ def _noting_common_fundamental(lines: list[Finding], s: LineSpectrum) -> list[Fi
 
 def _near_disc_resonance(model: Model, hz: float) -> bool:
     """Whether the disc may resonate at hz, within the uncertainty of shaft stiffness and disc mass."""
-    notch = shaft_notch(model)
-    return notch is not None and abs(hz / (0.5 * sum(notch)) - 1.0) < DISC_UNCERTAINTY_REL
+    return any(abs(hz / (0.5 * sum(notch)) - 1.0) < DISC_UNCERTAINTY_REL for notch in shaft_notches(model))
 
 
 def _loads_caps_alike(point: WorkingPoint, s: LineSpectrum, hz: float) -> bool:
@@ -116,7 +115,7 @@ def searched_spectrum(model: Model, point: WorkingPoint, y: Array, rate_hz: floa
         line_spectrum(model, corrected_record(model, y, rate_hz), rate_hz), y, rows,
         lambda f_hz: tangent_at(point, model, f_hz),
     )  # fmt: skip
-    if (notch := shaft_notch(model)) is not None:  # any error of the model rings there like a line
+    for notch in shaft_notches(model):  # any error of the model rings there like a line
         s.noise[:, np.abs(s.f_hz / (0.5 * sum(notch)) - 1.0) < DISC_NOTCH_REL] = np.inf
     return s
 
@@ -237,9 +236,10 @@ def _imbalance_finding(
     power: dict[int, float],
 ) -> Finding | None:  # fmt: skip
     """The forces F (places,) at order 1 as one rotating force on the disc; None where that leaves a fifth of them."""
-    if model.shaft == "none":
+    disc = next(iter(model.discs), None)
+    if disc is None:
         return None
-    weights = _cap_forces_of_disc(model, point, hz)
+    weights = _cap_forces_of_disc(model, point, disc, hz)
     f_d = complex(np.sum(np.conj(weights) * F / noise) / np.sum(np.abs(weights) ** 2 / noise))
     explained = float(np.sum(np.abs(weights) ** 2 / noise) * abs(f_d) ** 2)
     if total - explained >= 0.2 * total + 3 * F.size:
@@ -247,14 +247,14 @@ def _imbalance_finding(
     sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
     return Finding(
         effect=IMBALANCE.name,
-        at=("disc",),
+        at=(disc,),
         gain_nats=explained,
         dof=2,
         p_value=p,
         power_N2=power,
         against="shaft_angle",
         region=f"1 x shaft speed ({hz:.2f} Hz), forward",
-        settings={"disc": {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}},
+        settings={disc: {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}},
         note="a bowed shaft gives the same forces at one speed: its run-out at slow roll separates the two",
         detectable=(5 * sd, "N"),
     )
@@ -298,12 +298,10 @@ def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> N
     return np.asarray(np.abs(residual) < harmonic_fit.MIN_UNEXPLAINED_REL * np.abs(F))
 
 
-def _cap_forces_of_disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:
+def _cap_forces_of_disc(model: Model, point: WorkingPoint, disc: str, rotation: float) -> Complexes:
     """(places,) N at each cap per N of a forward rotating force on the disc. rotation : Hz."""
     w = np.array([2 * np.pi * rotation])
-    return np.array(
-        [cap_force_per_shaft_force(model, p, w)[0] * (1.0 if p.endswith("x") else -1j) for p in point.data.places]
-    )
+    return np.array([cap_force_per_shaft_force(model, disc, p, w) @ (1.0, -1j) for p in point.data.places])[:, 0]
 
 
 def _is_harmonic(s: LineSpectrum, hz: float, fundamental: float) -> bool:

@@ -189,7 +189,7 @@ def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     stiffness = np.einsum("iik->ik", point.mean_tangent)[:, 0]
     resonances = np.sqrt(np.maximum(stiffness / data.mass, w[0] ** 2))
     near = {int(np.argmin(np.abs(w - one))) for one in resonances}
-    modes = np.concatenate([modes_at(point.A[k], data.mass, 1j * w[k], data.disc, data.places) for k in sorted(near)])
+    modes = np.concatenate([modes_at(point.A[k], data.mass, 1j * w[k], data.rotor) for k in sorted(near)])
     away = np.abs(f[:, None] - modes.imag / (2 * np.pi)) / NODES_PER_DISTANCE
     allowed = np.maximum(away, np.abs(real - modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
     bend = np.flatnonzero(np.diff(real[:, 0]))

@@ -24,7 +24,7 @@ from estimator.errors import DataError, NotFiniteError
 from estimator.identification.record import spike_rows
 from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
 from estimator.likelihood.motion.denoise import DenoisingFilter
-from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_terms
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.rig import Model
@@ -121,7 +121,7 @@ class RollingEstimator:
         self._used = [*motion_channels(model), *force_channels(model).values()]
         kinds = [model.channels[c].kind for c in self._used]
         self._filter = BandLimit(
-            kinds, rate_hz, model.band, shaft_reaction(model), slow=True, undone=anti_alias_response(model, rate_hz),
+            kinds, rate_hz, model.band, shaft_terms(model), slow=True, undone=anti_alias_response(model, rate_hz),
             dtype=np.float32,
         )  # fmt: skip
         self._gain = _sensor_gains(self.model)[self._used]

@@ -63,7 +63,7 @@ def piece_record(
         return np.asarray(z[..., at], np.float32)
 
     a, v, x = motion.a, motion.v[:P], motion.x[:P]
-    known = inertia_and_shaft(model, like.mass, a, v, x, motion.u.copy())
+    known = inertia_and_shaft(like.rotor, like.mass, (a[:P], v, x), motion.u.copy())
     for k, i in enumerate(force_channels(model)):
         known[i] -= a[P + k]
     if like.background is not None:

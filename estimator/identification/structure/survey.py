@@ -233,10 +233,10 @@ def survey_structure(
 
 
 def expected_modes(model: Model, place: str) -> int:
-    """Modes that the rig has in the direction of a place: its caps on their bearings, and the disc on the shaft."""
-    if model.shaft == "none":
-        return 1
-    return 2 + ("disc" in model.mass)
+    """Modes that the rig has in the direction of a place: its caps on their bearings, discs and shaft."""
+    if model.rotor is not None:
+        return sum(dof.endswith(place[-1]) for dof in model.rotor.dofs)
+    return 1 if model.shaft == "none" else 2 + ("disc" in model.mass)
 
 
 def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -> Mode | str:

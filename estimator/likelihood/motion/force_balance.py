@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
-
-from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 from estimator.model.rig import MOTION_UNITS, Model
+from estimator.model.rotor import rotor_of
+from estimator.model.rotor_matrices import Term
 
 
 def motion_channels(model: Model) -> list[int]:
@@ -23,27 +20,18 @@ def force_channels(model: Model) -> dict[int, int]:
     return {rows[c.place]: i for i, c in enumerate(model.channels) if c.kind == "force" and c.place in rows}
 
 
-def shaft_notch(model: Model) -> tuple[float, float] | None:
-    """Hz: where the disc, held by the shaft alone, resonates too sharply for a filter: bins that a fit leaves out."""
-    if model.shaft == "none" or model.shaft_stiffness == 0.0 or "disc" not in model.mass:
-        return None
-    springs = 2.0 if model.shaft == "chain" else 4.0
-    resonance = float(np.sqrt(springs * model.shaft_stiffness / model.mass["disc"]) / (2 * np.pi))
-    width = model.band[0] / 6.0  # four times the resolution of the filters (bandlimit.half_length)
-    return resonance - width, resonance + width
+def shaft_notches(model: Model) -> tuple[tuple[float, float], ...]:
+    """Hz: where the shaft with its discs, the caps held, resonates too sharply for a filter: bins left out of a fit."""
+    rotor, width = rotor_of(model), model.band[0] / 6.0  # four times the resolution of the filters
+    return () if rotor is None else tuple((hz - width, hz + width) for hz in rotor.resonances_hz)
 
 
-def shaft_reaction(model: Model) -> Callable[[Array | Complexes], Complexes] | None:
-    """Force on a cap per displacement of the cap at the other end, N/m at Hz, complex of motion that grows or decays,
-    disc eliminated; None without a shaft.
+def shaft_terms(model: Model) -> tuple[Term, ...]:
+    """Forces on the caps by their displacements through shaft and discs, as the extra outputs of a `BandLimit`.
 
     Exact: what a filter cannot hold of a sharp resonance is the filter's affair (band_limit.py). Raises DataError.
     """
-    if model.shaft == "none" or model.shaft_stiffness == 0.0:
-        return None
-    if model.mass.get("disc", 0.0) <= 0.0:
+    if model.shaft in ("chain", "beam") and model.shaft_stiffness > 0.0 and model.mass.get("disc", 0.0) <= 0.0:
         raise DataError(f'shaft "{model.shaft}" needs [rig.mass] disc: give it, or set shaft = "none"')
-    from estimator.model.rotor import between_caps
-
-    ks, cs, disc, shaft = model.shaft_stiffness, model.shaft_damping, model.mass["disc"], model.shaft
-    return lambda f_hz: between_caps(shaft, ks, cs, disc, 2 * np.pi * f_hz)
+    rotor = rotor_of(model)
+    return () if rotor is None else rotor.terms()

@@ -25,7 +25,7 @@ from estimator.effects.places import at, kinematic, values, written
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import Model, Setting
-from estimator.model.rotor import shaft_at_caps
+from estimator.model.rotor import rotor_of
 from estimator.signals.band_limit import passband
 
 PERIODIC_EFFECTS = tuple(name for name, effect in NAMED.items() if effect.found_by == "harmonics")
@@ -61,6 +61,15 @@ class PeriodicEffect:
 
     def harmonics(self, model: Model, place: str, count: int, p: Array | None = None) -> Complexes:
         """(count,) N, harmonics F_1, F_2, ... of the force on a cap."""
+        if self.effect.kind not in ("disc", "shaft"):
+            return self._of_law(place[-1], count, p)
+        on_caps = 0.5 if self.effect.kind == "shaft" else 0.0  # half of what a shaft's force puts on the disc
+        through = cap_force_per_shaft_force(model, self.key, place, 2 * np.pi * self.hz * np.arange(1.0, count + 1))
+        through[:, "xy".index(place[-1])] -= on_caps
+        return np.asarray(sum(z * self._of_law(d, count, p) for d, z in zip("xy", through.T, strict=True) if z.any()))
+
+    def _of_law(self, direction: str, count: int, p: Array | None) -> Complexes:
+        """(count,) N, harmonics of the force of the law in a direction where it acts."""
         p = self.p if p is None else p
         theta = 2 * np.pi * (np.arange(POINTS_PER_TURN) + 0.5) / POINTS_PER_TURN
         f = frequency_index(self.effect)
@@ -69,14 +78,12 @@ class PeriodicEffect:
             own[f] = 1.0  # the law over one turn does not depend on it
         t = theta / (2 * np.pi)
         law = force_array(
-            self.effect, own, np.zeros(POINTS_PER_TURN), t=t, phase=theta, s=1.0 if place.endswith("x") else -1.0
+            self.effect, own, np.zeros(POINTS_PER_TURN), t=t, phase=theta, s=1.0 if direction == "x" else -1.0
         )
         k = np.arange(1.0, count + 1)
-        F = -2.0 / POINTS_PER_TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / POINTS_PER_TURN)
-        if self.effect.kind in ("disc", "shaft"):
-            on_caps = 0.5 if self.effect.kind == "shaft" else 0.0  # half of what a shaft's force puts on the disc
-            F *= cap_force_per_shaft_force(model, place, np.asarray(2 * np.pi * self.hz * k)) - on_caps
-        return np.asarray(F)
+        return np.asarray(
+            -2.0 / POINTS_PER_TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / POINTS_PER_TURN)
+        )
 
     def highest(self, band: tuple[float, float]) -> int:
         """Highest order of its angle below the upper edge of a band, Hz."""
@@ -138,11 +145,20 @@ def has_unknown_line(model: Model) -> bool:
     return any(hz == 0.0 for _, hz in _fundamentals(model))
 
 
-def cap_force_per_shaft_force(model: Model, place: str, omega: Array) -> Complexes:
-    """(f,) force on a cap per force on the disc, by reciprocity the disc's displacement per cap displacement."""
-    disc = model.mass.get("disc", 0.0)
-    _, follow = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, omega)
-    return np.asarray(follow[:, int(place[7]) - 1])
+def cap_force_per_shaft_force(model: Model, disc: str, place: str, omega: Array) -> Complexes:
+    """(f, 2) force on a cap per force on a disc in x and in y.
+
+    By reciprocity the disc's displacement per cap displacement, of the rotor that turns the other way.
+    """
+    rotor = rotor_of(model)
+    out = np.zeros((omega.size, 2), complex)
+    if rotor is None:
+        return out
+    other_way = replace(rotor, C=rotor.C.T)
+    for k, d in enumerate("xy"):
+        if f"{disc}.{d}" in rotor.discs:
+            out[:, k] = other_way.follows(f"{disc}.{d}", omega)[:, model.places.index(place)]
+    return out
 
 
 def periodic_effects(model: Model) -> list[PeriodicEffect]:
@@ -225,7 +241,10 @@ def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | Non
     if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
         return None
     omega = 2 * np.pi * one.hz * np.append(SPEED_RATIOS, 1.0)
-    through = cap_force_per_shaft_force(model, place, omega) - (0.5 if one.effect.kind == "shaft" else 0.0)
+    through = cap_force_per_shaft_force(model, one.key, place, omega) @ (
+        (1.0, -1j) if place.endswith("x") else (1j, 1.0)
+    )
+    through -= 0.5 if one.effect.kind == "shaft" else 0.0
     grown = SPEED_RATIOS**one.effect.speed_power
     return np.asarray(grown * through[:-1] / through[-1])
 
@@ -337,4 +356,4 @@ def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz:
 
 def acts_on(one: PeriodicEffect, place: str) -> bool:
     """Whether a periodic effect puts a force on the bearing cap at a place."""
-    return one.key in ("disc", place, place.split(".")[0])
+    return one.effect.kind in ("disc", "shaft") or one.key in (place, place.split(".")[0])

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
-from estimator.model.disc import disc_of
 from estimator.model.rig import Model, Setting
+from estimator.model.rotor import rotor_matrices
 from estimator.signals.channel_response import channel_response, measured_force_places
 
-from .force_balance import shaft_notch
+from .force_balance import shaft_notches
 
 # effects that shape a spectrum: of the force, or of the motion where the record is not corrected; the former alone
 SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None)
@@ -21,19 +21,20 @@ LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window,
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m, dynamic stiffness of shaft and disc at the measured bearing caps."""
-    disc = disc_of(model)
-    if disc is None:
+    matrices = rotor_matrices(model)
+    rotor = None if matrices is None else matrices.at(places)
+    if rotor is None:
         return np.zeros((f_hz.size, len(places), len(places)), complex)
-    return disc.at_caps(places, 2 * np.pi * f_hz)
+    return rotor.dynamic(2 * np.pi * f_hz)
 
 
 def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
-    """Indices of the bins of a block spectrum that are fitted: the band without narrow lines and a breathing shaft."""
+    """Indices of the bins of a block spectrum that are fitted: the band without lines and sharp modes of the shaft."""
     f = np.fft.rfftfreq(block, 1 / rate_hz)
     lobe = LINE_LOBE_BINS * rate_hz / block
     inside = (f >= model.band[0]) & (f <= model.band[1])
-    if notch := shaft_notch(model):
-        inside &= (f < notch[0]) | (f > notch[1])
+    for low, high in shaft_notches(model):
+        inside &= (f < low) | (f > high)
     for line in model.line_bands:
         inside &= (f < line.low_hz - lobe) | (f > line.high_hz + lobe)
     return np.flatnonzero(inside)

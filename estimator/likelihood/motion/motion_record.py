@@ -13,6 +13,7 @@ from estimator.arrays import Array, Series
 from estimator.model.background import Background
 from estimator.model.disc import Disc
 from estimator.model.rig import LineBand
+from estimator.model.rotor_matrices import Rotor
 from estimator.signals.band_limit import noise_shape
 
 from .harmonics import BelowBandForce, PeriodicForce
@@ -57,7 +58,7 @@ class MotionRecord:
     periodic_below_band : the model's periodic forces below the band.
     periodic_amplitudes : the model's periodic forces in the band by free amplitude; `known` has their known part.
     level : (places, blocks) power of the excitation over its mean; None if it is constant.
-    disc : the disc on its shaft; None without one.
+    disc : the disc on a massless shaft; None without one. rotor : shaft and discs as the caps move them, or None.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
     lines : narrow lines of the record in the band, whose bins are left out.
     held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
@@ -96,6 +97,7 @@ class MotionRecord:
     periodic_amplitudes: tuple[PeriodicForce, ...] = ()
     level: Array | None = None
     disc: Disc | None = None
+    rotor: Rotor | None = None
     below_band_force: Series | None = None
     lines: tuple[LineBand, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
@@ -165,10 +167,8 @@ class MotionRecord:
         return self.places.index(name) if name in self.places else None
 
     def opposite(self, i: int) -> int | None:
-        """Index of the same direction at the other bearing."""
-        node, direction = self.places[i].split(".")
-        name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
-        return self.places.index(name) if name in self.places else None
+        """Index of the same direction at the first of the other bearings."""
+        return next((k for k, p in enumerate(self.places) if k != i and p[-1] == self.places[i][-1]), None)
 
     def displacement(self, i: int) -> Series:
         """(n,) m, displacement at a place: in the band, and below it where that is known."""

@@ -16,6 +16,8 @@ from estimator.errors import DataError
 from estimator.model.background import Background
 from estimator.model.disc import disc_of
 from estimator.model.rig import LineBand, Model
+from estimator.model.rotor import rotor_of
+from estimator.model.rotor_matrices import Rotor
 from estimator.parallel import map_threads
 from estimator.results import Message
 from estimator.signals.band_limit import below_band_force, passband
@@ -23,7 +25,7 @@ from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
-from .force_balance import motion_channels, shaft_reaction
+from .force_balance import motion_channels, shaft_terms
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
@@ -101,7 +103,8 @@ def motion_record(
     slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
     loose = {p for p in (*shaken, *free_masses) if model.cap_mass(p) is None}
-    known = inertia_and_shaft(model, mass, a, v, x, u)
+    rotor = rotor_of(model)
+    known = inertia_and_shaft(rotor, mass, (a[:P], v, x), u)
     driven = np.zeros(P)
     for i, force in measured.items():
         known[i] -= force
@@ -118,7 +121,7 @@ def motion_record(
     return MotionRecord(
         places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
         v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, out_of_band_sd=np.zeros((P, 2)), rms=rms,
-        measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model),
+        measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model), rotor=rotor,
         periodic_below_band=below_band_forces(model, places), below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
         lines=_lines_passed(model, rate_hz),
@@ -156,7 +159,7 @@ def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) ->
     """Band-limited motion and force of some columns of a record y (n, channels), SI, made as it is asked for."""
     kinds = [model.channels[k].kind for k in columns]
     found = BandLimitedRecord(
-        y=y, kinds=kinds, rate_hz=rate_hz, band=model.band, extra=shaft_reaction(model), slow=True,
+        y=y, kinds=kinds, rate_hz=rate_hz, band=model.band, extra=shaft_terms(model), slow=True,
         undone=anti_alias_response(model, rate_hz), columns=columns,
     )  # fmt: skip
     return_freed_memory(y)  # all of it has been read
@@ -224,19 +227,22 @@ def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, S
     return mass
 
 
-def inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Series, u: Series) -> Series:
-    """(places, n) N, inertia m a and the force of shaft and disc. u : reaction to the other end, overwritten."""
-    P = len(model.places)
-    known = u[:P] if len(u) else np.zeros_like(x)
-    for direction in "xy":
-        same = [i for i, p in enumerate(model.places) if p.endswith(direction)]
-        reaction = known[same].sum(axis=0)
-        for i in same:
-            np.multiply(mass[i], a[i], out=known[i])
-            known[i] += reaction
-            if len(u) and model.shaft == "chain":
-                known[i] += model.shaft_stiffness * x[i]
-                known[i] += model.shaft_damping * v[i]
+def inertia_and_shaft(
+    rotor: Rotor | None, mass: Array, motion: tuple[Series, Series, Series], through: Series
+) -> Series:  # fmt: skip
+    """(places, n) N, inertia and the force of shaft and discs.
+
+    motion : acceleration, velocity and displacement, each (places, n). through : force that the modes of the shaft make
+    of the displacements, overwritten; of no rows without a shaft.
+    """
+    P = len(mass)
+    known = through[:P] if len(through) else np.zeros_like(motion[2])
+    if rotor is not None:
+        for A, z in zip(rotor.direct, motion, strict=True):
+            for i, j in np.argwhere(A):
+                known[i] += A[i, j] * z[j]
+    for i in range(P):
+        known[i] += mass[i] * motion[0][i]
     return known
 
 
@@ -278,7 +284,9 @@ def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Serie
 def _shared(model: Model) -> tuple[tuple[int, int], ...]:
     """Pairs of places whose unmeasured forces may be correlated in the model."""
     found = [at(effect_of(u), u, model) for u in model.effects if effect_of(u).scope == "bearings"]
-    return tuple((model.places.index(p), model.places.index(f"bearing2.{p[-1]}")) for keys in found for p in keys)
+    return tuple(
+        (model.places.index(p), model.places.index(f"{model.bearings[1]}.{p[-1]}")) for keys in found for p in keys
+    )
 
 
 def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:

@@ -186,10 +186,10 @@ def point_at(
     lin = np.stack([data.mass, kL, c], axis=1)
     own = map_threads(lambda use: regressors(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
-    s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
+    s = contour(A, data.mass, D, data.f_hz, data.rotor)
 
     def along_line(A: Complexes) -> Complexes:
-        return continued_tangent(s, A, data.mass, D, data.disc, data.places, data.background)
+        return continued_tangent(s, A, data.mass, D, data.rotor, data.background, data.places)
 
     noise = referred_noise(data, A, nu, S)
     whitening = Whitening(data=data, noise=noise, s=s, measured=_to_measured(data, noise, along_line(A), s))
@@ -268,7 +268,7 @@ def _modal_responses(
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
         if (own := linear_memory.state_matrix(use.effect, use.p, lin[i])) is not None
     ]  # fmt: skip
-    bare = modal_responses(data.mass, D, data.places, data.disc, linear)
+    bare = modal_responses(data.mass, D, data.rotor, linear)
     memory_tangent = np.zeros((len(data.places), 2))
     for use, regressors_of in zip(uses, made, strict=True):
         for i in use.at if has_nonlinear_memory(use, lin[use.at[0]]) else ():
@@ -281,7 +281,7 @@ def _modal_responses(
     if not memory_tangent.any():
         return list(bare)
     there = D + np.eye(len(D))[..., None] * memory_tangent[:, None]
-    return list(modal_responses(data.mass, there, data.places, data.disc, linear))
+    return list(modal_responses(data.mass, there, data.rotor, linear))
 
 
 def _all_regressors(

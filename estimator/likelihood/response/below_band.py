@@ -120,14 +120,12 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
 
 
 def _response(data: MotionRecord, D: Array) -> Callable[[Array], Complexes]:
-    return below_band_compliance(
-        lambda w: compliance(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds
-    )
+    return below_band_compliance(lambda w: compliance(w, data.mass, D, data.rotor), data.rate_hz, data.band, data.kinds)
 
 
 def _above(data: MotionRecord, k: Array) -> bool:
     """Whether every cap resonates above the lower band edge. k : (places,) N/m, stiffness of the bearing."""
-    held = 0.0 if data.disc is None else data.disc.held[0]
+    held = 0.0 if data.rotor is None else data.rotor.held[0]
     return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
 
 

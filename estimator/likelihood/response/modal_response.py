@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.arrays import Array, Complexes
-from estimator.model.disc import Disc
-from estimator.model.rotor import shaft_at_caps, shaft_matrix
+from estimator.model.rotor_matrices import Rotor
 
 MIN_MODE_POWER_REL = 0.01  # variance under white force over that of the largest mode; weaker modes are not waited for
 SLOWEST_MODE_SHARE = 0.1  # decays of the slowest mode over decays of the mean over modes that a record has to hold
@@ -94,49 +93,39 @@ class ModalResponse:
         return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
-def compliance(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
+def compliance(w: Array, mass: Array, D: Array, rotor: Rotor | None) -> Complexes:
     """(f, places, places) m/N, displacement of each bearing cap per force on each; arguments as `modal_responses`."""
     iw = 1j * w[:, None, None]
     dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
-    if disc is not None:
-        caps, _ = shaft_at_caps(disc.shaft, disc.ks, disc.cs, disc.m, w)
-        for at, ends in _directions(places):
-            dynamic[:, np.array(at)[:, None], at] += caps[:, np.array(ends)[:, None], ends]
+    if rotor is not None:
+        dynamic += rotor.dynamic(w)
     return np.asarray(np.linalg.inv(dynamic))
 
 
-def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
-    """By direction, the indices of its places and of their ends of the shaft (0, 1)."""
-    by = [[i for i, p in enumerate(places) if p.endswith(d)] for d in sorted({p.split(".")[1] for p in places})]
-    return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
-
-
 def modal_responses(
-    mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
+    mass: Array, D: Array, rotor: Rotor | None, memories: Sequence[tuple[int, Array]] = ()
 ) -> tuple[ModalResponse, ...]:
     """Response of each bearing cap of a rotor.
 
     mass : (places,) kg. D : (places, places, 2) mean tangents to displacement and velocity, N/m and N s/m, without the
-    shaft. disc : None without a shaft. memories : place and state matrix of linear laws with memory.
+    shaft. rotor : shaft and discs; None without them. memories : place and state matrix of linear laws with memory.
     """
-    n = len(places)
-    M, K, C = mass, D[..., 0], D[..., 1]
-    if disc is not None:
-        for at, ends in _directions(places):
-            M, K, C = np.append(M, disc.m), np.pad(K, (0, 1)), np.pad(C, (0, 1))
-            here, nodes = np.ix_([*at, len(M) - 1], [*at, len(M) - 1]), np.ix_([*ends, 2], [*ends, 2])
-            K[here] += shaft_matrix(disc.shaft, disc.ks)[nodes]
-            C[here] += shaft_matrix(disc.shaft, disc.cs)[nodes]
+    n = len(mass)
+    M, K, C = np.diag(mass), D[..., 0], D[..., 1]
+    if rotor is not None:
+        inner = (0, len(rotor.M) - n)
+        M, K, C = (np.pad(A, inner) + own for A, own in ((M, rotor.M), (K, rotor.K), (C, rotor.C)))
+    Mi = np.linalg.inv(M)
     size = len(M)
-    free = np.block([[np.zeros((size, size)), np.eye(size)], [-K / M[:, None], -C / M[:, None]]])
+    free = np.block([[np.zeros((size, size)), np.eye(size)], [-Mi @ K, -Mi @ C]])
     for i, own in memories:
         before, more = len(free), len(own) - 1
         seen = [*range(before, before + more), i, size + i]
         free = np.pad(free, (0, more))
         free[before:, seen] = own[:-1]
-        free[size + i, seen] -= own[-1] / mass[i]
+        free[size : 2 * size, seen] -= np.outer(Mi[:, i], own[-1])
     poles, right = np.linalg.eig(free)
-    left = np.linalg.inv(right)[:, size : 2 * size] / M
+    left = np.linalg.inv(right)[:, size : 2 * size] @ Mi
     above = poles.imag >= 0.0
     double = np.where(poles.imag > 0.0, 2.0, 1.0)
 

@@ -14,8 +14,8 @@ way. The line has a wide margin where it is needed, because a law on trial may m
 At its ends, and where bins are left out, the line returns to the axis, as steep there as far from it. So it has the
 ends of the axis, and its sum but for the modes. A straight line without the ways back would bias the slopes.
 
-A disc that resonates in the band moves with the caps as a mode of the rotor. Its response at s differs from that at iw,
-and both are exact. The stiffness of all else is taken to be the same at s and iw.
+A disc or a shaft that resonates in the band moves with the caps as modes of the rotor. Its response at s differs from
+that at iw, and both are exact. The stiffness of all else is taken to be the same at s and iw.
 """
 
 from __future__ import annotations
@@ -28,26 +28,23 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.model.background import Background
-from estimator.model.disc import Disc
+from estimator.model.rotor_matrices import Rotor
 
 MARGIN_BINS = 1.0  # least distance of a mode from the line, spacings of the bins: the error is exp(-2 pi)
 WIDE_MARGIN_BINS = 4.0  # distance from the line where one is needed, spacings of the bins
 
 
-def contour(
-    A: Complexes, mass: Array, D: Array, f_hz: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
-) -> Complexes:  # fmt: skip
+def contour(A: Complexes, mass: Array, D: Array, f_hz: Array, rotor: Rotor | None = None) -> Complexes:
     """(bins,) rad/s, the line.
 
     A : (bins, places, places) kg, at f_hz, which is evenly spaced but for gaps. mass : (places,) kg. D : (places,
-    places, 2) mean tangents by displacement and velocity, N/m and N s/m. disc : on the shaft between the places; None
-    without one.
+    places, 2) mean tangents by displacement and velocity, N/m and N s/m. rotor : shaft and discs; None without.
     """
     w = 2 * np.pi * f_hz
     length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(w - resonance)))
-    modes = modes_at(A[near], mass, 1j * w[near], disc, places)
+    modes = modes_at(A[near], mass, 1j * w[near], rotor)
     band = contiguous_bands(f_hz)
     needed = shift_past_modes(modes, MARGIN_BINS / length, band) > 0.0
     return line_at_shift(w, shift_past_modes(modes, WIDE_MARGIN_BINS / length, band) if needed else 0.0, band)
@@ -77,30 +74,28 @@ def shift_past_modes(modes: Complexes, margin_hz: float | Array, band: Sequence[
     return max(float((modes.real + 2 * np.pi * margin_hz)[inside].max(initial=0.0)), 0.0)
 
 
-def modes_at(
-    A: Complexes, mass: Array, s: complex, disc: Disc | None = None, places: tuple[str, ...] = ()
-) -> Complexes:  # fmt: skip
-    """(modes,) rad/s of the rotor m s^2 + c s + k whose response is s^2 A at s, with the disc on its shaft."""
+def modes_at(A: Complexes, mass: Array, s: complex, rotor: Rotor | None = None) -> Complexes:
+    """(modes,) rad/s of the rotor m s^2 + c s + k whose response is s^2 A at s, with the modes of shaft and discs."""
     P, rest = mass.size, (A - np.diag(mass)) * s**2
-    if disc is None:
-        m, C, K = mass, np.zeros((P, P)), np.zeros((P, P))
+    if rotor is None:
+        M, C, K = (np.zeros((P, P)) for _ in range(3))
     else:
-        rest = rest - disc.at_caps(places, np.array([s / 1j]))[0]
-        discs, C, K = disc.joined(places)
-        m = np.concatenate([mass, discs])
+        rest = rest - rotor.dynamic(np.array([s / 1j]))[0]
+        M, C, K = rotor.M.copy(), rotor.C.copy(), rotor.K.copy()
+    M[range(P), range(P)] += mass
     K[:P, :P] += rest.real
     C[:P, :P] += rest.imag / s.imag
-    n = m.size
+    n = len(M)
     free = np.zeros((2 * n, 2 * n))
     free[:n, n:] = np.eye(n)
-    free[n:] = -np.hstack([K, C]) / m[:, None]
+    free[n:] = -np.linalg.solve(M, np.hstack([K, C]))
     modes = np.linalg.eigvals(free)
     return np.asarray(modes[modes.imag > 0.0], np.complex128)
 
 
 def continued_tangent(
-    s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = (),
-    background: Background | None = None,
+    s: Complexes, A: Complexes, mass: Array, D: Array, rotor: Rotor | None = None,
+    background: Background | None = None, places: tuple[str, ...] = (),
 ) -> Complexes:  # fmt: skip
     """(bins, places, places) kg: A at s (bins,), from A at i Im s. D : mean tangents as in `contour`."""
     if not s.real.any():
@@ -118,8 +113,8 @@ def continued_tangent(
     there, here = bearings(s), bearings(1j * s.imag)
     moved = (there - here) / s1**2
     out = np.diag(mass) + (A - np.diag(mass)) * (iw / s1) ** 2 + moved
-    if disc is not None:
-        out += (disc.at_caps(places, s / 1j) - disc.at_caps(places, s.imag)) / s1**2
+    if rotor is not None:
+        out += (rotor.dynamic(s / 1j) - rotor.dynamic(s.imag)) / s1**2
     return np.asarray(out)
 
 

@@ -73,8 +73,9 @@ class Jacobian:
         self._set_reference()
 
     def _set_reference(self) -> None:
-        """Set what the sum is compared with: the turn of det A0 and half of the trace of the second-order part."""
-        self.total_turn_rad, self.half_trace = phase_steps(_determinants(self.A0)).sum(), 0.0
+        """Set what the sum is compared with: det A0, how it turns, and half of the trace of the second-order part."""
+        self.determinant0, self.half_trace = _determinants(self.A0), 0.0
+        self.turned0 = phase_steps(self.determinant0)
         if self.second_order.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.second_order
             self.half_trace = float((0.5 * self.weight @ own.sum(axis=1)).real)
@@ -140,10 +141,10 @@ class Jacobian:
         Beyond the line the sum would be that of the mirror image of the mode.
         """
         determinant = _determinants(self.tangent_matrix(tangents, delta))
-        turned = phase_steps(determinant)
-        if turned.sum() < self.total_turn_rad - MODE_CROSSED_RAD:
+        turned = phase_steps(determinant / self.determinant0)  # small also where bins are left out, around a mode
+        if turned.sum() < -MODE_CROSSED_RAD:
             return -np.inf
-        return self._sum(determinant, turned) - self.offset - self.half_trace
+        return self._sum(determinant, self.turned0 + turned) - self.offset - self.half_trace
 
     def slopes(self, tangents: Complexes, delta: Array) -> tuple[Array, Complexes]:
         """Gradient (k,) by the increments, and slopes (places, places, bins) by the elements of A."""

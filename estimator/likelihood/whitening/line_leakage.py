@@ -47,8 +47,9 @@ def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage |
     weights : (places, bins) of the spectra.
     """
     forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LINE_POWERS)]
-    if data.disc is not None and data.band[0] < (f0 := data.disc.w0 / (2 * np.pi)) < data.band[1]:
-        forms += _forms(data, f0, DISC_POWERS)  # the notch of the shaft leaves it out
+    for f0 in () if data.rotor is None else data.rotor.resonances_hz:
+        if data.band[0] < f0 < data.band[1]:
+            forms += _forms(data, f0, DISC_POWERS)  # the notch of the shaft leaves it out
     if not forms:
         return None
     forms.append(np.ones(data.f_hz.size))

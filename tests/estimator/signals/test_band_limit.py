@@ -1,12 +1,14 @@
 """The band limit: exact in the band, no delay, the same for any chunking, honest about gaps."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.errors import DataError
-from estimator.signals.band_limit import BandLimit, band_limit, half_length
+from estimator.signals.band_limit import BandLimit, Terms, band_limit, half_length
 
 RATE, BAND = 2000.0, (20.0, 600.0)
 
@@ -63,7 +65,8 @@ def test_a_gap_invalidates_exactly_the_rows_that_it_touches() -> None:
 def test_extra_output_is_a_response_from_displacement() -> None:
     t = np.arange(6000) / RATE
     w = 2 * np.pi * 100.0
-    out = band_limit(-w * w * np.sin(w * t)[:, None], ["acceleration"], RATE, BAND, extra=lambda f: 1j * 2 * np.pi * f)
+    velocity = through(lambda f: 2j * np.pi * f)
+    out = band_limit(-w * w * np.sin(w * t)[:, None], ["acceleration"], RATE, BAND, extra=velocity)
     assert np.allclose(out.u[0, out.valid], w * np.cos(w * t)[out.valid], atol=1e-3 * w)
 
 
@@ -71,6 +74,11 @@ def test_impossible_bands_are_refused() -> None:
     for band in ((20.0, 1000.0), (600.0, 20.0), (0.0, 100.0)):
         with pytest.raises(DataError):
             BandLimit(["acceleration"], RATE, band)
+
+
+def through(response: Callable[[np.ndarray], np.ndarray]) -> Terms:
+    """The extra output that one channel has by a response."""
+    return [(np.eye(1), response)]
 
 
 @pytest.mark.parametrize("low", [150.0, 60.0])
@@ -84,7 +92,8 @@ def test_a_sharp_resonance_beside_or_in_the_band_does_not_spread_over_it(low: fl
 
     rate, hz = 25600.0, 1100.0
     t = np.arange(40000) / rate
-    out = band_limit(np.sin(2 * np.pi * hz * t)[:, None], ["displacement"], rate, (low, 8000.0), extra=reaction)
+    y = np.sin(2 * np.pi * hz * t)[:, None]
+    out = band_limit(y, ["displacement"], rate, (low, 8000.0), extra=through(reaction))
     expected = np.real(reaction(np.array([hz]))[0]) * np.sin(2 * np.pi * hz * t)
     assert np.abs(out.u[0] - expected)[out.valid].max() < 0.05 * np.abs(expected).max()
 
@@ -101,7 +110,7 @@ def test_a_sharp_resonance_at_the_edge_of_the_band_is_left_out_and_nothing_else(
 
     rate = 25600.0
     noise = np.random.default_rng(0).standard_normal((200_000, 1))
-    out = band_limit(noise, ["displacement"], rate, (low, 8000.0), extra=reaction)
+    out = band_limit(noise, ["displacement"], rate, (low, 8000.0), extra=through(reaction))
     f, x, u = (np.fft.rfftfreq(8192, 1 / rate), *(z[0][out.valid] for z in (out.x, out.u)))
     pieces = len(x) // 8192
     X, U = (np.fft.rfft(z[: pieces * 8192].reshape(pieces, -1) * np.hanning(8192)) for z in (x, u))
@@ -123,6 +132,7 @@ def test_beside_a_sharp_resonance_that_is_left_out_the_response_is_right(apart_h
 
     rate, hz = 25600.0, np.sqrt(2 * k / m) / (2 * np.pi) + apart_hz
     t = np.arange(40000) / rate
-    out = band_limit(np.sin(2 * np.pi * hz * t)[:, None], ["displacement"], rate, (150.0, 8000.0), extra=reaction)
+    y = np.sin(2 * np.pi * hz * t)[:, None]
+    out = band_limit(y, ["displacement"], rate, (150.0, 8000.0), extra=through(reaction))
     expected = np.imag(reaction(np.array([hz]))[0] * np.exp(2j * np.pi * hz * t))
     assert np.abs(out.u[0] - expected)[out.valid].max() < most * np.abs(expected).max()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from reference_rig import RATE
 
-from estimator.signals.band_limit import band_limit
+from estimator.signals.band_limit import Terms, band_limit
 from estimator.signals.band_limited_record import BandLimitedRecord
 
 KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
@@ -14,13 +14,13 @@ def shaft(f: np.ndarray) -> np.ndarray:
     return np.asarray(1e5 / (1e5 - f**2 + 1j * f))
 
 
-@pytest.mark.parametrize("extra", [None, shaft])
-def test_the_whole_has_the_bits_of_the_stream(extra: object) -> None:
+@pytest.mark.parametrize("extra", [(), [(np.array([[1.0, -0.5], [-0.5, 2.0]]), shaft)]])
+def test_the_whole_has_the_bits_of_the_stream(extra: Terms) -> None:
     rng = np.random.default_rng(0)
     y = rng.normal(size=(60001, 2))
     y[20000:20007, 1] = np.nan
-    whole = band_limit(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
-    record = BandLimitedRecord(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
+    whole = band_limit(y, KINDS, RATE, BAND, extra)
+    record = BandLimitedRecord(y, KINDS, RATE, BAND, extra)
     assert np.array_equal(record.valid, whole.valid)
     held = record.whole()
     for name in "avxu" if extra else "avx":

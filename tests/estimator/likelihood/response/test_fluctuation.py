@@ -60,7 +60,7 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
     point = strong[3]
-    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.rotor)
     here = fluctuations(point.data, point.placed, mean, point.lin)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
@@ -72,7 +72,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
     """Both tangents of a law beside itself have its amplitude; of two laws at a place neither is all there is."""
     point = strong[3]
-    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.rotor)
     law = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
     here = fluctuations(point.data, [law], mean, point.lin)[0]
     assert isinstance(here, Fluctuation)
@@ -181,7 +181,7 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
 def test_a_damping_that_lets_nothing_move_has_lags_all_the_same() -> None:
     """A step of a fit went there, and improve ended with "negative shift count"."""
     for c, lags in ((60.0, 2048), (1e9, 1 << 15)):
-        (mean,) = modal_response.modal_responses(np.array([0.2]), np.array([[[1e7, c]]]), ("bearing1.x",), None)
+        (mean,) = modal_response.modal_responses(np.array([0.2]), np.array([[[1e7, c]]]), None)
         assert mean.lags(1 / 25600.0, 1 << 15) == lags
 
 

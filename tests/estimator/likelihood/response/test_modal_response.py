@@ -9,9 +9,9 @@ from scipy.linalg import expm
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion import linear_memory
 from estimator.likelihood.response.modal_response import modal_responses
-from estimator.model.disc import Disc
-from estimator.model.rig import Shaft
+from estimator.model.rig import BEARING_NODES, Shaft
 from estimator.model.rotor import shaft_at_caps, shaft_matrix
+from estimator.model.rotor_matrices import Rotor, lumped_rotor
 
 MASS = np.array([0.16, 0.2, 0.16, 0.2])
 PLACES = ("bearing1.x", "bearing2.x", "bearing1.y", "bearing2.y")
@@ -26,9 +26,10 @@ def tangents() -> np.ndarray:
     return D
 
 
-def disc(shaft: Shaft) -> Disc:
-    own = shaft_matrix(shaft, 1.0)[2, 2]
-    return Disc(shaft, KS, CS, DISC, C=own * CS, K=own * KS)
+def rotor(shaft: Shaft, places: tuple[str, ...] = PLACES) -> Rotor:
+    made = lumped_rotor(BEARING_NODES, DISC, shaft_matrix(shaft, CS), shaft_matrix(shaft, KS)).at(places)
+    assert made is not None
+    return made
 
 
 @pytest.mark.parametrize("shaft", ["chain", "beam"])
@@ -40,7 +41,7 @@ def test_each_cap_answers_as_the_rotor_does(shaft: Shaft) -> None:
     for at in ([0, 1], [2, 3]):
         exact[:, np.array(at)[:, None], at] += caps
     G = np.linalg.inv(exact)
-    for i, mean in enumerate(modal_responses(MASS, D, PLACES, disc(shaft))):
+    for i, mean in enumerate(modal_responses(MASS, D, rotor(shaft))):
         assert mean.sound
         # modes of a millionth of the largest are left out
         assert np.abs(mean.at(w) - G[:, i, i]).max() < 1e-6 * np.abs(G[:, i, i]).max()
@@ -57,14 +58,14 @@ def test_an_impulse_is_followed_as_by_the_matrix_exponential() -> None:
     pushed = np.zeros(6)
     pushed[3] = 1.0 / MASS[0]
     exact = np.array([expm(free * t) @ pushed for t in tau])[:, [0, 3]].T
-    found = modal_responses(MASS[:2], D[:2, :2], PLACES[:2], disc("chain"))[0].after(tau)
+    found = modal_responses(MASS[:2], D[:2, :2], rotor("chain", PLACES[:2]))[0].after(tau)
     assert np.abs(found - exact).max(axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("c", [2.0, 60.0, 4000.0])  # of 2828 critical
 def test_a_cap_by_itself(c: float) -> None:
     m, k = 0.2, 1e7
-    (mean,) = modal_responses(np.array([m]), np.array([[[k, c]]]), PLACES[:1], None)
+    (mean,) = modal_responses(np.array([m]), np.array([[[k, c]]]), None)
     w = 2 * np.pi * np.linspace(0.0, 3000.0, 100)
     exact = 1.0 / (k + 1j * w * c - m * w**2)
     assert np.abs(mean.at(w) - exact).max() < 1e-9 * np.abs(exact).max()
@@ -81,8 +82,8 @@ def test_a_cap_by_itself(c: float) -> None:
 def test_a_mode_that_grows_is_not_sound() -> None:
     D = tangents()[:2, :2]
     D[1, 1, 1] = -500.0
-    assert not modal_responses(MASS[:2], D, PLACES[:2], disc("chain"))[0].sound  # through the shaft
-    assert modal_responses(MASS[:2], D, PLACES[:2], None)[0].sound
+    assert not modal_responses(MASS[:2], D, rotor("chain", PLACES[:2]))[0].sound  # through the shaft
+    assert modal_responses(MASS[:2], D, None)[0].sound
 
 
 def test_a_pedestal_under_the_cap_answers_with_it() -> None:
@@ -92,5 +93,5 @@ def test_a_pedestal_under_the_cap_answers_with_it() -> None:
     assert answer is not None
     w = 2 * np.pi * np.linspace(10.0, 3000.0, 100)
     exact = 1.0 / (1e7 + 60j * w - 0.2 * w**2 + answer(w))
-    mean = modal_responses(lin[:1], np.array([[[1e7, 60.0]]]), ("bearing1.x",), None, [(0, own)])[0]
+    mean = modal_responses(lin[:1], np.array([[[1e7, 60.0]]]), None, [(0, own)])[0]
     assert np.abs(mean.at(w) - exact).max() < 1e-6 * np.abs(exact).max()

@@ -18,9 +18,9 @@ from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.likelihood.whitening.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
 from estimator.likelihood.whitening.determinant import Jacobian, line_weights
-from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
-from estimator.model.rotor import shaft_matrix
+from estimator.model.rotor import rotor_matrices
+from estimator.model.rotor_matrices import Rotor
 
 BLOCK_S = 0.32
 F_HZ = np.arange(200.0, 8000.0, 1 / BLOCK_S)
@@ -67,7 +67,7 @@ def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: f
 CAPS, SHAFT, BOTH = np.array([0.21, 0.22]), 3.9e6, ("bearing1.x", "bearing2.x")  # kg, N/m
 
 
-def rotor(c: float, f_disc: float, w: NDArray[Any]) -> tuple[NDArray[np.complex128], NDArray[np.float64], Disc]:
+def rotor(c: float, f_disc: float, w: NDArray[Any]) -> tuple[NDArray[np.complex128], NDArray[np.float64], Rotor]:
     """A (w, 2, 2) of caps on either side of a disc that resonates at f_disc, their mean tangents, and the disc."""
     model = Model(
         (),
@@ -77,11 +77,13 @@ def rotor(c: float, f_disc: float, w: NDArray[Any]) -> tuple[NDArray[np.complex1
         shaft_stiffness=SHAFT,
         shaft_damping=0.9,
     )
-    disc, D = disc_of(model), np.zeros((2, 2, 2))
+    found, D = rotor_matrices(model), np.zeros((2, 2, 2))
+    assert found is not None
+    disc = found.at(BOTH)
     assert disc is not None
     D[[0, 1], [0, 1]] = [[8.9e6, c], [6.3e6, c]]
     s = 1j * w[:, None, None]
-    return np.diag(CAPS) + D[..., 0] / s**2 + D[..., 1] / s + disc.at_caps(BOTH, w) / s**2, D, disc
+    return np.diag(CAPS) + D[..., 0] / s**2 + D[..., 1] / s + disc.dynamic(w) / s**2, D, disc
 
 
 @settings(deadline=None, max_examples=20)
@@ -92,14 +94,14 @@ def test_a_disc_moves_with_the_caps_as_a_mode_that_nothing_damps(c: float, f_dis
 
     def value(c: float) -> float:
         A, D, disc = rotor(c, f_disc, 2 * np.pi * f)
-        s = contour(A, CAPS, D, f, disc, BOTH)
-        J = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), line_weights(s))
+        s = contour(A, CAPS, D, f, disc)
+        J = Jacobian(continued_tangent(s, A, CAPS, D, disc), line_weights(s))
         return J.value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
 
     def decay(c: float) -> float:
         _, D, disc = rotor(c, f_disc, np.ones(1))
-        M = np.diag([*CAPS, disc.m])
-        C, K = (shaft_matrix("chain", own) for own in (disc.cs, SHAFT))
+        M = disc.M + np.diag([*CAPS, 0.0])
+        C, K = disc.C.copy(), disc.K.copy()
         C[[0, 1], [0, 1]] += c
         K[[0, 1], [0, 1]] += np.diag(D[..., 0])
         flow = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
@@ -118,15 +120,15 @@ def test_the_slopes_are_those_of_the_axis_where_bins_are_left_out(f_disc: float)
 
     def terms(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(5, 2, 2, s): size and delay of what is between the caps, in the force on the first, and c, k and c there."""
-        between = disc.at_caps(BOTH, s / 1j)[:, 0, 1] / s**2
+        between = disc.dynamic(s / 1j)[:, 0, 1] / s**2
         out = np.zeros((5, 2, 2, s.size), complex)
         out[:2, 0, 1] = between, -s * between
         out[2, 1, 1], out[3, 0, 0], out[4, 0, 0] = 1 / s, 1 / s**2, 1 / s
         return out
 
-    s = contour(A, CAPS, D, f, disc, BOTH)
+    s = contour(A, CAPS, D, f, disc)
     assert s.real.max() > 50.0
-    J = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), line_weights(s))
+    J = Jacobian(continued_tangent(s, A, CAPS, D, disc), line_weights(s))
     found = J.derivatives(terms(s), np.zeros(5))[0]
     assert J.slopes(terms(s), np.zeros(5))[0] == pytest.approx(found)
     on_axis = rotor(30.0, f_disc, 2 * np.pi * spread)[0]
