@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
+from scipy.linalg import eigh
 
 from daq.base.console.output import Output
 from daq.rig.rig import Rig, check_laws, load_rig
-from estimator.model import Model
+from estimator.model import Model, RotorMatrices, Setting, assemble
 
+MAX_MODES_SHOWN = 8
 OUR_PACKAGES = ("daq", "drivers", "estimator")
 SHAFT_WORDS = {
     "chain": "chain (caps joined through the disc)",
     "beam": "free-free beam",
+    "matrices": "matrices",
     "none": "none: caps uncoupled",
 }
 
@@ -53,6 +59,7 @@ def _facts(rig: Rig) -> dict[str, Any]:
     return {
         "name": model.name,
         "shaft": model.shaft,
+        "bearings": list(model.bearings),
         "speed_rpm": model.speed_rpm,
         "mass": dict(model.mass),
         "band": list(model.band),
@@ -88,6 +95,7 @@ def _summary(rig: Rig) -> Table:
     rows = [
         ("rig", model.name),
         ("shaft", SHAFT_WORDS[model.shaft]),
+        *_rotor_rows(model),
         ("speed", "not given" if model.speed_rpm is None else f"{model.speed_rpm:g} rpm"),
         ("masses", masses),
         ("analysis band", f"{model.band[0]:g} to {model.band[1]:g} Hz"),
@@ -103,9 +111,49 @@ def _summary(rig: Rig) -> Table:
     return table
 
 
+def _rotor_rows(model: Model) -> list[tuple[str, str]]:
+    """What the matrices of a rotor hold, to be held against the program that made them."""
+    if model.rotor is None:
+        return []
+    bending, on_bearings = modes_hz(model, model.rotor)
+    discs = ", ".join(model.discs) or "none"
+    rows = [("bearings", ", ".join(model.bearings)), ("discs", discs), ("bending modes, free", _hz(bending))]
+    return [*rows, ("modes on bearings", _hz(on_bearings))] if on_bearings else rows
+
+
+def _hz(values: Sequence[float]) -> str:
+    return ", ".join(f"{hz:.1f}" for hz in values[:MAX_MODES_SHOWN]) + " Hz" if values else "none in the band"
+
+
+def modes_hz(model: Model, rotor: RotorMatrices) -> tuple[list[float], list[float]]:
+    """Hz up to the end of the band: bending modes of the free shaft in x at rest, and damped modes of the rotor on its
+    bearings at its speed, by the values of the file; none of these where a stiffness is unknown."""
+    most = (2 * pi * model.band[1]) ** 2
+    plane = rotor.only([i for i, dof in enumerate(rotor.dofs) if dof.endswith(".x")])
+    p = eigh(plane.K, plane.M, eigvals_only=True)
+    free = [sqrt(one) / (2 * pi) for one in p if 1e-8 * p[-1] < one < most]
+    caps = [f"{n}.{d}" for n in model.bearings for d in "xy"]
+    known = {c: model.linear[c] for c in caps if c in model.linear and model.linear[c]["kL"].value is not None}
+    if len(known) < len(caps):
+        return free, []
+    given = {c: {**s} | {k: Setting(s[k].value or 0.0) for k in ("c", "S")} for c, s in known.items()}
+    rig = assemble(replace(model, linear=given, effects=()))
+    n = len(rig.dofs)
+    flow = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(rig.M, np.hstack([rig.K, rig.C]))]])
+    found = np.linalg.eigvals(flow).imag / (2 * pi)
+    return free, sorted(found[(found > 0.0) & (found < model.band[1])].tolist())
+
+
 def _remarks(rig: Rig) -> list[str]:
     model = rig.model
     remarks = []
+    if model.rotor is not None:
+        unmeasured = [n for n in model.bearings if not any(p.startswith(f"{n}.") for p in model.places)]
+        if unmeasured:
+            text = "not measured, so what it does acts on the others as excitation: measure every bearing"
+            remarks.append(f"{', '.join(unmeasured)}: {text}")
+        if not model.speed_rpm:
+            remarks.append("no rig.speed_rpm: a gyroscopic matrix G does nothing")
     if missing := unknown(model):
         remarks.append(f"{len(missing)} values are not given and will be fitted: {_some(missing)}")
     if not any(model.cap_mass(p) for p in model.places):

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from estimator.effects import CATALOGUE, places
-from estimator.model import BEARING_NODES, CAP_DIRECTIONS, CustomLaw, Effect, EffectUse, Model, Setting
+from estimator.model import CAP_DIRECTIONS, CustomLaw, Effect, EffectUse, Model, Setting
 
 from .problems import Path, Problem, did_you_mean, of_validation
 from .rig_file import CustomTable, ModelTable, SettingTable
@@ -47,6 +47,7 @@ def effects_of(
     model : the rig without them; base : where paths of modules start; None: none is run.
     """
     channels = {c.name: c.place for c in model.channels}
+    nodes = (*model.bearings, *model.discs, "disc", "shaft")
     problems: list[Problem] = []
     uses: list[EffectUse] = []
     extra: Mapping[str, dict[str, Any]] = table.__pydantic_extra__ or {}
@@ -78,7 +79,7 @@ def effects_of(
             own = customs[name]
             law, possible, wrong = _law(own, model, base)
             problems += [Problem((*path, *where.split(".")), text) for where, text in wrong]
-            reader = _Reader(path, tuple(law.units), possible, channels, problems=problems)
+            reader = _Reader(path, tuple(law.units), possible, channels, problems=problems, nodes=nodes)
             values = reader.read({"at": own.at} if own.at else {})
             for settings_there in values.values():
                 settings_there |= {k: setting(p) for k, p in own.parameters.items() if k in law.units}
@@ -93,7 +94,7 @@ def effects_of(
                 problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
             elif effect.turns and not _turning(model):
                 problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_NO_SHAFT_ANGLE}'))
-            reader = _Reader(("model", name), parameters, possible, channels, problems=problems)
+            reader = _Reader(("model", name), parameters, possible, channels, problems=problems, nodes=nodes)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
 
@@ -150,6 +151,12 @@ def _nowhere(effect: Effect, model: Model) -> str:
     """Why an effect can act nowhere in this rig, and what to do."""
     if effect.kind in ("disc", "shaft") and model.shaft == "none":
         return 'acts on the disc or the shaft: say rig.shaft = "chain" or "beam", or remove it'
+    if effect.kind == "disc":
+        return "acts on a disc: name one in [rig.rotor] discs, or remove it"
+    if effect.kind == "shaft":
+        return 'acts on a massless shaft, and is not known for shaft = "matrices": remove it'
+    if effect.scope == "bearings" and len(model.bearings) != 2:
+        return f"is known for two bearings, and this rig has {len(model.bearings)}: remove it"
     return "couples x and y, or two bearings, and the channels do not measure both; remove it"
 
 
@@ -168,9 +175,10 @@ class _Reader:
         channels: Mapping[str, str],
         *,
         problems: list[Problem],
+        nodes: tuple[str, ...],
     ) -> None:
         self.path, self.parameters, self.places = path, parameters, places
-        self.channels, self.problems = channels, problems
+        self.channels, self.problems, self.nodes = channels, problems, nodes
 
     def read(
         self, table: Mapping[str, Any], base: dict[str, dict[str, Setting]] | None = None
@@ -202,7 +210,7 @@ class _Reader:
         for key, value in table.items():
             if key in self.parameters:
                 self._setting((*self.path, key), value, whole if "fixed" in whole else {}, shared)
-            elif key in (*BEARING_NODES, "disc", "shaft") and isinstance(value, dict):
+            elif key in self.nodes and isinstance(value, dict):
                 own += self._node(key, value)
             elif key not in OF_ALL:
                 keys = [*self.parameters, "at"]

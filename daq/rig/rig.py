@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cache, cached_property
-from math import radians
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,22 +21,24 @@ from estimator.model import (
     BEARING_NODES,
     MOTION_UNITS,
     AntiAlias,
-    BearingGeometry,
     Channel,
     MachineClass,
     Model,
+    RotorMatrices,
     Setting,
     Shaft,
 )
 
 from .alarm_table import AlarmTable, alarm_problems
 from .effects import effects_of, setting
+from .node_names import name_problems
 from .problems import Problem, did_you_mean, line_numbers, of_validation
-from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
+from .rig_file import AcquisitionTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
+from .rig_table import RigTable
+from .rotor_table import RotorError, attachment, read_matrices, rotor_of_table
 from .units import SI_UNIT, factor
 
 MAX_CHARACTERS, MAX_DOTS = 200_000, 100  # characters of a file; dots in a line
-CAP_PLACES = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,13 @@ class Rig:
     model: Model
 
     @classmethod
-    def parse(cls, text: str, base: Path | None = None, path: Path | None = None, where: str = "rig file") -> Rig:
+    def parse(
+        cls, text: str, base: Path | None = None, path: Path | None = None, where: str = "rig file",
+        attached: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> Rig:  # fmt: skip
         """The rig that a TOML text describes. Raises ConfigError with one line for each problem.
 
-        Of a text that came out of a log, no Python file is run.
+        Of a text that came out of a log, no Python file is run. attached : the other files in the log.
         """
         base = base or Path()
         modules = None if path is None else base
@@ -70,7 +75,7 @@ class Rig:
         if not problems:
             try:
                 file = RigFile.model_validate(data)
-                model, problems = _model(file, modules, path)
+                model, problems = _model(file, modules, path, attached)
             except ValidationError as error:
                 problems = of_validation(error, RigFile)
         if problems:
@@ -131,7 +136,8 @@ class Rig:
         for path in [*([self.dbc] if self.dbc else []), *(self.base / m for m in sorted(modules))]:
             if path.is_file():
                 files[path.name] = path.read_bytes()
-        return files
+        rotor = self.file.rig.rotor
+        return files if rotor is None else files | attachment(rotor, self.base)
 
 
 def _toml(text: str, where: str) -> dict[str, Any]:
@@ -283,6 +289,8 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
         if name not in (names := [c.name for c in channels]):
             text = f"there is no channel of this name; {did_you_mean(name, names, 'there are')}"
             problems.append(Problem(("link", "signals", name), text))
+    if "rig" in parts or "rig" not in data:
+        problems += name_problems(parts.get("rig", RigTable()), channels, parts.get("model"))
     if channels and "alarm" in parts:
         places = [f"{c.node}.{c.direction}" for c in motions]
         classed = parts["machine"].iso20816 is not None if "machine" in parts else "machine" in data
@@ -290,32 +298,47 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0
-        known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAP_PLACES)
-        problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft, speed_rpm=rpm), base)[1]
+        bearings = parts["rig"].names if "rig" in parts else BEARING_NODES
+        known = _channels(channels) if motions else tuple(Channel(f"{n}{d}", n, d) for n in bearings for d in "xy")
+        model = Model(known, (1.0, 2.0), shaft, speed_rpm=rpm, bearings=bearings)
+        problems += effects_of(parts["model"], NAMED, model, base)[1]
     return problems
 
 
-def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, list[Problem]]:
+def _model(
+    file: RigFile, base: Path | None, path: Path | None, attached: Mapping[str, bytes]
+) -> tuple[Model, list[Problem]]:  # fmt: skip
     rig, spring = file.rig, file.rig.shaft_spring
+    rotor: RotorMatrices | None = None
+    if rig.rotor is not None:
+        try:
+            rotor = rotor_of_table(
+                rig.rotor, read_matrices(rig.rotor, base, attached), rig.speed_rpm or 0.0, file.band.high
+            )
+        except RotorError as error:
+            path_of_key = ("rig", "rotor", error.key)
+            return Model((), (file.band.low, file.band.high)), [Problem(path_of_key, str(error))]
     model = Model(
         channels=_channels(file.channel),
         band=(file.band.low, file.band.high),
         shaft=rig.shaft,
-        mass=_masses(file),
+        mass=rig.mass.by_place(rig.names),
         shaft_stiffness=spring.stiffness if spring else 0.0,
         shaft_damping=spring.damping if spring else 0.0,
+        rotor=rotor,
+        bearings=rig.names,
         speed_rpm=rig.speed_rpm or None,  # a shaft at rest has no angle
         ball_pass_order=rig.ball_pass_order,
-        bearing=_bearing(rig.bearing),
+        bearing=None if rig.bearing is None else rig.bearing.geometry,
         name=rig.name or (path.stem if path else "rig"),
         anti_alias=_anti_alias(file.acquisition),
         iso20816=_machine_class(file.machine),
     )
     effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
-    for node in BEARING_NODES:
+    for node in rig.names:
         for direction in ("x", "y"):
-            table = getattr(getattr(file.model.linear, node), direction, None)
+            table = getattr(getattr(file.model.linear, node, None), direction, None)
             if table is not None:
                 given = {k: setting(s) for k in ("kL", "c", "S") if (s := getattr(table, k)) is not None}
                 place = f"{node}.{direction}"
@@ -330,20 +353,6 @@ def _channels(tables: list[ChannelTable]) -> tuple[Channel, ...]:
     return tuple(Channel(c.name, c.node or "shaft", c.direction or "", c.kind) for c in tables)
 
 
-def _masses(file: RigFile) -> dict[str, float]:
-    mass = file.rig.mass
-    out = {} if mass.disc is None else {"disc": mass.disc}
-    for node in BEARING_NODES:
-        cap = getattr(mass, node)
-        if cap is None:
-            continue
-        if cap.x is not None and cap.x == cap.y:
-            out[node] = cap.x
-        else:
-            out |= {f"{node}.{d}": m for d, m in (("x", cap.x), ("y", cap.y)) if m is not None}
-    return out
-
-
 def _anti_alias(table: AcquisitionTable | None) -> AntiAlias | None:
     own = None if table is None else table.anti_alias
     if own is None:
@@ -354,16 +363,3 @@ def _anti_alias(table: AcquisitionTable | None) -> AntiAlias | None:
 def _machine_class(table: MachineTable) -> MachineClass | None:
     own = table.iso20816
     return None if own is None else MachineClass(group=own.group, support=own.support)
-
-
-def _bearing(table: BearingTable | None) -> BearingGeometry | None:
-    if table is None:
-        return None
-    return BearingGeometry(
-        balls=table.balls,
-        ball_diameter=1e-3 * table.ball_diameter_mm,
-        pitch_diameter=1e-3 * table.pitch_diameter_mm,
-        groove_radius=None if table.groove_radius_mm is None else 1e-3 * table.groove_radius_mm,
-        preload=None if table.preload_um is None else 1e-6 * table.preload_um,
-        contact_angle=radians(table.contact_angle_deg),
-    )

@@ -8,31 +8,17 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
 
 from .alarm_table import AlarmTable
-from .bearings import BEARING_GEOMETRIES, of_designation
-from .table import Table
+from .rig_table import ByBearing, RigTable
+from .table import NotNegative, NumberOrTable, Positive, Table
 from .units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical, factor, foreign, sensitivity_parts
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Node = Literal["bearing1", "bearing2"]
 MAX_ANALOGUE_ORDER = 20  # poles of an analogue filter: beyond them the design itself loses its digits
-
-
-class NumberOrTable(Table):
-    """A table that may be written as a bare number."""
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return {"anyOf": [{"type": "number"}, handler.resolve_ref_schema(handler(schema))]}
 
 
 class SettingTable(NumberOrTable):
@@ -71,102 +57,6 @@ class SettingTable(NumberOrTable):
             if limit is not None and self.value is not None and (self.value - limit) * outside > 0:
                 raise ValueError(f"value {self.value:g} is beyond {name} {limit:g}")
         return self
-
-
-class CapMass(NumberOrTable):
-    """A cap's mass in kg: a number, or one for each direction."""
-
-    x: Positive | None = None
-    y: Positive | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def number(cls, data: Any) -> Any:
-        if not isinstance(data, int | float) or isinstance(data, bool):
-            return data
-        if data <= 0:
-            raise ValueError(f"{data:g} kg is not above 0; leave the key out if the mass is unknown")
-        return {"x": float(data), "y": float(data)}
-
-
-class MassTable(Table):
-    """kg; a key left out is unknown and estimated if the data can tell."""
-
-    disc: Positive | None = None
-    bearing1: CapMass | None = None
-    bearing2: CapMass | None = None
-
-
-class ShaftSpringTable(Table):
-    """N/m and N s/m of each half of the shaft."""
-
-    stiffness: NotNegative
-    damping: NotNegative = 0.0
-
-
-class BearingTable(Table):
-    """Ball bearing geometry: kinematics, and with the groove's radius theory. A negative preload is a clearance."""
-
-    designation: str | None = Field(default=None, description="of a bearing in our table, instead of its geometry")
-    balls: Annotated[int, Field(ge=3, le=100)]
-    ball_diameter_mm: Positive
-    pitch_diameter_mm: Positive
-    groove_radius_mm: Positive | None = Field(default=None, description="needed for theory alone")
-    preload_um: float | None = None
-    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def by_designation(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not isinstance(name := data.get("designation"), str):
-            return data
-        if (known := of_designation(name)) is not None:
-            return known | data
-        if {"balls", "ball_diameter_mm", "pitch_diameter_mm"} <= data.keys():
-            return data
-        known_names = ", ".join(BEARING_GEOMETRIES)
-        raise ValueError(
-            f'designation "{name}" is not in our table ({known_names}): give balls, ball_diameter_mm and '
-            "pitch_diameter_mm"
-        )
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The designation or the geometry is required."""
-        table = dict(handler.resolve_ref_schema(handler(schema)))
-        return table | {"anyOf": [{"required": ["designation"]}, {"required": table.pop("required")}]}
-
-    @field_validator("pitch_diameter_mm")
-    @classmethod
-    def holds_the_balls(cls, value: float, info: ValidationInfo) -> float:
-        if value <= info.data.get("ball_diameter_mm", 0.0):
-            raise ValueError("is not larger than ball_diameter_mm: the two may be swapped")
-        return value
-
-    @field_validator("groove_radius_mm")
-    @classmethod
-    def wider_than_the_ball(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is not None and value <= info.data.get("ball_diameter_mm", 0.0) / 2:
-            raise ValueError("is not larger than half of ball_diameter_mm (a groove is about 0.52 ball diameters)")
-        return value
-
-
-class RigTable(Table):
-    name: str = ""
-    shaft: Literal["chain", "beam", "none"] = "none"
-    speed_rpm: NotNegative | None = None
-    ball_pass_order: Positive | None = Field(default=None, description="ball passes a turn, if geometry is unknown")
-    mass: MassTable = MassTable()
-    shaft_spring: ShaftSpringTable | None = Field(default=None, validate_default=True)
-    bearing: BearingTable | None = None
-
-    @field_validator("shaft_spring")
-    @classmethod
-    def of_a_shaft(cls, value: ShaftSpringTable | None, info: ValidationInfo) -> ShaftSpringTable | None:
-        shaft = info.data.get("shaft", "none")
-        if shaft != "none" and value is None:
-            raise ValueError(f'shaft = "{shaft}" needs [rig.shaft_spring] with its stiffness; or say shaft = "none"')
-        return value
 
 
 class BandTable(Table):
@@ -256,9 +146,10 @@ class LinearNode(Table):
     y: LinearTable | None = None
 
 
-class LinearNodes(Table):
+class LinearNodes(ByBearing):
     bearing1: LinearNode | None = None
     bearing2: LinearNode | None = None
+    __pydantic_extra__: dict[str, LinearNode] = Field(init=False)
 
 
 class CustomTable(Table):
@@ -327,7 +218,7 @@ class ChannelTable(Table):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.-]*$")]
     kind: Literal["acceleration", "velocity", "displacement", "force", "tacho"] = "acceleration"
-    node: Node | None = Field(default=None, validate_default=True, description="not of a tacho")
+    node: str | None = Field(default=None, validate_default=True, description="name of the bearing; not of a tacho")
     direction: Literal["x", "y", "z"] | None = Field(default=None, validate_default=True, description="not of a tacho")
     sensitivity: SensitivityTable | None = Field(default=None, description="of its sensor, for values in volts")
     unit: str = Field(description="of the values, where the file or the device does not say it")

@@ -6,6 +6,7 @@ from typing import Any
 
 from daq.base.console.output import Output
 from estimator.effects import CATALOGUE
+from estimator.model import BEARING_NODES
 
 from .rig_file import RigFile
 
@@ -24,7 +25,7 @@ def rig_schema() -> dict[str, Any]:
                 "properties": own | {d: {"type": "object", "properties": own} for d in ("x", "y")},
                 "additionalProperties": False,
             }
-            for node in ("bearing1", "bearing2")
+            for node in BEARING_NODES
         }
         model["properties"][effect.name] = {
             "type": "object",

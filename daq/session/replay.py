@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -30,6 +30,8 @@ class Replayable(Protocol):
 
     @property
     def path(self) -> Path: ...
+    @property
+    def attachments(self) -> Mapping[str, bytes]: ...
     @property
     def head(self) -> Head: ...
     @property
@@ -174,7 +176,7 @@ class EstimateCheck:
 
 def logged_rig(log: Replayable) -> Rig:
     """The rig file of the session that made the log. Raises LogError if the log holds none."""
-    return Rig.parse(log.rig_text, where=f"{log.path}: rig.toml")
+    return Rig.parse(log.rig_text, where=f"{log.path}: rig.toml", attached=log.attachments)
 
 
 def replay_into(

@@ -43,7 +43,7 @@ def complete(model: Model, rate_hz: float) -> tuple[Model, dict[str, Parameter]]
         if model.cap_mass(place) is None:
             mass[place] = CAP_KG
             assumed[f"{place}.m"] = Parameter(CAP_KG, 0.0, "kg")
-    if model.shaft != "none" and "disc" not in mass:
+    if model.shaft in ("chain", "beam") and "disc" not in mass:
         mass["disc"] = DISC_KG
         assumed["disc.m"] = Parameter(DISC_KG, 0.0, "kg")
     low, high = model.band

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +27,7 @@ class Beginning:
     info: Info
     first: int
     started_ns: int | None
-    rig_text: str | None
+    attachments: Mapping[str, bytes]
 
     @property
     def session(self) -> str:
@@ -51,10 +51,9 @@ def beginning(path: Path) -> Beginning | None:
             break
     if said.info is None or said.first is None:
         return None
-    rig = findings.attachments.get("rig.toml")
     return Beginning(
         path=path, head=said.head, info=said.info, first=said.first, started_ns=said.started_ns,
-        rig_text=None if rig is None else rig[1].decode("utf-8", "replace"),
+        attachments={name: content for name, (_, content) in findings.attachments.items()},
     )  # fmt: skip
 
 
@@ -98,10 +97,15 @@ class LoggedSession:
     @property
     def rig_text(self) -> str:
         """The rig file of the session. Raises LogError if no segment holds it."""
-        text = next((part.rig_text for part in self.parts if part.rig_text is not None), None)
+        text = self.attachments.get("rig.toml")
         if text is None:
             raise LogError(f"{self.path}: no segment holds an intact rig file; give one with --rig")
-        return text
+        return text.decode("utf-8", "replace")
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """The attached files of the first segment that holds the rig file."""
+        return next((part.attachments for part in self.parts if "rig.toml" in part.attachments), {})
 
     @property
     def complete(self) -> bool:

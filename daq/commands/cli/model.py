@@ -102,6 +102,19 @@ def schema(
     body(Output(json, quiet, verbose))
 
 
+def rotor(
+    source: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="A rotor model saved by ROSS.")],
+    out: Annotated[Path, typer.Option("--out", metavar="ROTOR.npz", help="Where to write the matrices.")],
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Matrices of the shaft and discs of a ROSS model, for a rig with shaft = "matrices"."""
+    from daq.commands.start.ross_model import rotor as body
+
+    body(Output(json, quiet, verbose), source, out)
+
+
 def register(app: typer.Typer) -> None:
-    for command in (init, add, remove, effects, check, schema):
+    for command in (init, rotor, add, remove, effects, check, schema):
         app.command(rich_help_panel="Model")(command)

@@ -145,7 +145,7 @@ def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
         started_ns=recording.started_ns,
     )
     try:
-        rig = Rig.parse(recording.rig_text)
+        rig = Rig.parse(recording.rig_text, attached=recording.attachments)
     except (ConfigError, LogError):
         said = ", ".join(f"{n} in {u or 'no unit'}" for n, u in zip(names, units, strict=True))
         note(f"{recording.path}: holds no intact rig file (rig.toml), so values are in SI units: {said}")

@@ -62,7 +62,8 @@ def _looked_at(log: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     if log.n_samples * len(log.channels) > SURVEYED_VALUES or log.lost_samples > 10 * log.n_samples:
         return [], {}
     try:
-        rig = of_channels(Rig.parse(log.rig_text), log.channels if log.info is not log.device_info else ())
+        whole = Rig.parse(log.rig_text, attached=log.attachments)
+        rig = of_channels(whole, log.channels if log.info is not log.device_info else ())
         y, full_scale = rig_samples(log, rig, lambda text: None)
     except (ConfigError, LogError):  # no rig file, or one of another record
         return [], {}

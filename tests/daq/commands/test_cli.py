@@ -26,7 +26,7 @@ SCHEMAS = ROOT / "tests" / "data" / "schemas"
 COMMANDS = [
     "demo", "init", "run", "simulate", "replay", "severity", "fit", "compare", "diagnose", "improve", "theory",
     "reproduce", "add", "batch", "confusion", "remove", "effects", "check", "schema", "import", "export", "recover",
-    "info", "ports", "trend",
+    "info", "ports", "trend", "rotor",
 ]  # fmt: skip
 
 
