@@ -31,10 +31,9 @@ from estimator.model import (
 
 from .alarm_table import AlarmTable, alarm_problems
 from .effects import effects_of, setting
-from .node_names import name_problems
 from .problems import Problem, did_you_mean, line_numbers, of_validation
 from .rig_file import AcquisitionTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
-from .rig_table import RigTable
+from .rig_table import RigTable, name_problems
 from .rotor_table import RotorError, attachment, read_matrices, rotor_of_table
 from .units import SI_UNIT, factor
 

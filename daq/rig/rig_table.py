@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from math import radians
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, GetJsonSchemaHandler, ValidationInfo, field_validator, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -11,10 +12,25 @@ from pydantic_core import CoreSchema
 
 from estimator.model import BEARING_NODES, BearingGeometry
 
-from .bearings import BEARING_GEOMETRIES, of_designation
+from .problems import Path, Problem, did_you_mean
 from .rotor_table import MAX_BEARINGS, NodeName, RotorTable
 from .table import NotNegative, NumberOrTable, Positive, Table
 
+if TYPE_CHECKING:
+    from .rig_file import ChannelTable, ModelTable
+
+RESERVED_NAMES = ("disc", "shaft", "both", "all")  # of places that are no bearing
+# Ring and ball dimensions inside a bearing are not standardised: makers differ by 1 to 2 % in the pitch diameter, which
+# moves a defect order by less than 0.5 %. Values in the rig file go first.
+BEARING_GEOMETRIES: dict[str, dict[str, int | float]] = {
+    # Case Western Reserve University Bearing Data Center, bearing information (SKF 6203-2RS JEM, 6205-2RS JEM)
+    "6203": {"balls": 8, "ball_diameter_mm": 6.746, "pitch_diameter_mm": 28.50},
+    "6205": {"balls": 9, "ball_diameter_mm": 7.940, "pitch_diameter_mm": 39.04},
+    # Wang et al., IEEE Trans. Reliability 69 (2020): XJTU-SY bearing data sets (LDK UER204)
+    "UER204": {"balls": 8, "ball_diameter_mm": 7.92, "pitch_diameter_mm": 34.55},
+    # Huang & Baddour, Data in Brief 21 (2018): University of Ottawa bearing data (ER16K)
+    "ER16K": {"balls": 9, "ball_diameter_mm": 7.94, "pitch_diameter_mm": 38.52},
+}
 Names = Annotated[list[NodeName], Field(min_length=1, max_length=MAX_BEARINGS)]
 
 
@@ -178,3 +194,46 @@ class RigTable(Table):
         if shaft in ("chain", "beam") and value is None:
             raise ValueError(f'shaft = "{shaft}" needs [rig.shaft_spring] with its stiffness; or say shaft = "none"')
         return value
+
+
+def of_designation(name: str) -> dict[str, int | float] | None:
+    """The geometry of a bearing; None where the table lacks it.
+
+    name : designation. Suffixes of seals, cages and clearance ("6205-2RS", "6205 C3") are left out: they do not change
+    the geometry.
+    """
+    word = name.upper().replace("SKF", "").strip()
+    first = word.split()[0].split("/")[0] if word else ""
+    for known, geometry in BEARING_GEOMETRIES.items():
+        rest = first.removeprefix(known)
+        if first.replace("-", "").startswith(known) and not rest[:1].isdigit():
+            return geometry
+    return None
+
+
+def name_problems(rig: RigTable, channels: Sequence[ChannelTable], model: ModelTable | None) -> list[Problem]:
+    """What names a bearing that the rig does not have, and names that no bearing may have."""
+    names = rig.names
+    out = [
+        Problem(("rig", "rotor", "bearings") if rig.rotor else ("rig", "bearings"), f'"{n}" is no name for a bearing')
+        for n in names if n in RESERVED_NAMES
+    ]  # fmt: skip
+    for i, c in enumerate(channels):
+        if c.kind != "tacho" and c.node is not None and c.node not in names:
+            near = did_you_mean(c.node, names, "")
+            remedy = f"; {near}" if near.startswith("did") else ""
+            out.append(Problem(("channel", i, "node"), f'"{c.node}" is not one of {", ".join(names)}{remedy}'))
+    out += _unknown(("rig", "mass"), rig.mass, names, () if rig.rotor else ("disc",))
+    out += [] if model is None else _unknown(("model", "linear"), model.linear, names)
+    if rig.rotor is not None and rig.mass.disc is not None:
+        out.append(Problem(("rig", "mass", "disc"), "discs are in the matrices of [rig.rotor]: remove this key"))
+    return out
+
+
+def _unknown(path: Path, table: ByBearing, names: Sequence[str], others: Iterable[str] = ()) -> list[Problem]:
+    given = [*(table.model_fields_set - {"disc"}), *(table.__pydantic_extra__ or {})]
+    known = [*others, *names]
+    return [
+        Problem((*path, key), f"unknown key; {did_you_mean(key, known, 'the keys here are')}")
+        for key in dict.fromkeys(given) if key not in names
+    ]  # fmt: skip

@@ -26,7 +26,7 @@ NodeName = Annotated[str, Field(pattern=NODE_NAME)]
 Matrix = list[list[float]]
 Arrays = dict[str, NDArray[np.float64]]
 # indices of the displacement and the slope of each plane within a node; 4 and 6 are the order of ROSS
-PLANES: dict[int, dict[str, tuple[int, ...]]] = {
+PLANES_OF_NODE: dict[int, dict[str, tuple[int, ...]]] = {
     1: {"x": (0,)}, 2: {"x": (0, 1)}, 4: {"x": (0, 3), "y": (1, 2)}, 6: {"x": (0, 4), "y": (1, 3)},
 }  # fmt: skip
 
@@ -159,7 +159,7 @@ def rotor_of_table(table: RotorTable, given: Arrays, speed_rpm: float, high_hz: 
     """The rotor reduced to its bearings, discs and the modes that matter up to high_hz. Raises RotorError."""
     per_node = int(given.get("dofs_per_node", np.zeros(())))
     size = len(given["M"])
-    if per_node not in PLANES:
+    if per_node not in PLANES_OF_NODE:
         text = "is missing: say 1 (x), 2 (x and its slope), 4 (x, y, slope about x, slope about y) or 6 (as ROSS)"
         raise RotorError("dofs_per_node", text)
     if size % per_node:
@@ -172,7 +172,7 @@ def rotor_of_table(table: RotorTable, given: Arrays, speed_rpm: float, high_hz: 
     M, K = given["M"], given["K"]
     C = given.get("C", np.zeros_like(M)) + 2 * np.pi * speed_rpm / 60.0 * given.get("G", np.zeros_like(M))
     key = "file" if table.file else "M"
-    inner = PLANES[per_node]
+    inner = PLANES_OF_NODE[per_node]
     if "y" not in inner:  # one plane: the other is alike
         if "G" in given:
             raise RotorError(key, "G couples two planes: give both, with dofs_per_node = 4 or 6, or leave G out")

@@ -108,8 +108,11 @@ def rotor_of(model: Model) -> Rotor | None:
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Undamped modes. p : (n,) eigenvalues w^2, rad^2/s^2; shapes : (n, n) columns with the disc's row 1 (the paper's
-    normalisation, eqs 38-40); mass : (n,) modal masses, kg."""
+    """Undamped modes.
+
+    p : (n,) eigenvalues w^2, rad^2/s^2. shapes : (n, n) columns with the disc's row 1 (the paper's normalisation, eqs
+    38-40). mass : (n,) modal masses, kg.
+    """
 
     p: Array
     shapes: Array

@@ -53,8 +53,7 @@ class RotorMatrices:
 
     @cached_property
     def decoupling(self) -> Array:
-        """(n, n) degrees of freedom per coordinate, with coordinates that no inertia couples to those of the bearings:
-        these are the bearings' own displacements."""
+        """(n, n) degrees of freedom per coordinate: the bearings' own, and others that no inertia couples to these."""
         at = self.of_nodes(self.bearings)
         inner = [i for i in range(len(self.dofs)) if i not in at]
         T = np.eye(len(self.dofs))
@@ -62,7 +61,7 @@ class RotorMatrices:
         return T
 
     def bearing_mass(self, place: str) -> float:
-        """kg that moves with the shaft at a bearing, faster than all its modes; 0 at other places."""
+        """Mass in kg that moves with the shaft at a bearing, faster than all its modes; 0 at other places."""
         if place not in self.dofs:
             return 0.0
         own = self.decoupling[:, self.dofs.index(place)]
@@ -116,8 +115,10 @@ class Rotor:
 
     @cached_property
     def _modes(self) -> tuple[Complexes, Complexes, Complexes]:
-        """(r,) poles of the internal coordinates while the caps stand still, rad/s, (n - P, r) their shapes, and
-        (r, P) what each makes of a displacement of the caps."""
+        """Modes of the internal coordinates while the caps stand still.
+
+        (r,) poles, rad/s, (n - P, r) their shapes, and (r, P) what each makes of a displacement of the caps.
+        """
         P, n = len(self.places), len(self.M)
         coupled = (np.abs(self.M) + np.abs(self.C) + np.abs(self.K))[P:, P:] > 0.0
         poles, shapes, pushed = [], [], []
@@ -163,8 +164,7 @@ class Rotor:
 
     @cached_property
     def held(self) -> tuple[float, float]:
-        """N/m and N s/m that the shaft holds each cap by, however the caps move, while its internal coordinates stand
-        still."""
+        """N/m and N s/m that the shaft holds a cap by at least, while its internal coordinates stand still."""
         least = []
         for A in (self.direct[2], self.direct[1]):
             by = [[i for i, p in enumerate(self.places) if p.endswith(d)] for d in "xy"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.rig.bearings import of_designation
+from daq.rig.rig_table import of_designation
 
 from .guess import RADIAL_PLACES, Guess, kind_of_unit
 from .text import NewRig

@@ -103,8 +103,7 @@ def motion_record(
     slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
     loose = {p for p in (*shaken, *free_masses) if model.cap_mass(p) is None}
-    rotor = rotor_of(model)
-    known = inertia_and_shaft(rotor, mass, (a[:P], v, x), u)
+    known = inertia_and_shaft(rotor := rotor_of(model), mass, (a[:P], v, x), u)
     driven = np.zeros(P)
     for i, force in measured.items():
         known[i] -= force
