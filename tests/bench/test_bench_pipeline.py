@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ import pytest
 from device_process import frames, resonance
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from reference_rig import rig_record
 from sessions import feed, make_session
 from stand_ins import paper_rig
 
@@ -31,6 +32,8 @@ from daq.log.writer import LogWriter
 from daq.report.rerun.sink import RerunSink
 from daq.session.acquire import RunSummary, acquire_from
 from daq.session.estimators import ESTIMATOR_OF_METHOD, MakeEstimator, maker
+from daq.session.layer_watch import LayerWatch
+from daq.session.naming import Naming
 from daq.session.replay import replay_into
 from drivers.contract.reading import Block, Driver, Reading
 from drivers.links.links import make_driver, parse_link
@@ -203,13 +206,25 @@ def test_last_byte_to_logged_estimate(tmp_path: Path, method: str) -> None:
     assert p99 < 50 * 2  # where the machine is busy, the first fit holds up two estimates
 
 
-def write_long(path: Path, seconds: float, rate_hz: float = 25_600.0) -> None:
-    writer = LogWriter(path, live=False)
+def noise_through_a_resonance(number: int) -> np.ndarray:
+    """(1 << 20, 4) counts."""
+    return resonance(1 << 20, seed=number)
+
+
+def of_the_rig(number: int) -> np.ndarray:
+    """(1 << 20, 4) counts of a rig that the model describes."""
+    y = rig_record((1 << 20) / 25_600.0, seed=number)
+    return np.round(y / (490.5 / 32767)).astype(np.int32)
+
+
+def write_long(path: Path, seconds: float, make: Callable[[int], np.ndarray] = noise_through_a_resonance) -> None:
+    """A log of parts (1 << 20, 4) counts, one behind the other. make : a part by its number."""
+    writer, rate_hz = LogWriter(path, live=False), 25_600.0
     session = make_session(rate_hz=rate_hz)
     writer.start(Session(RIG.model, session.info, "", RIG.attachments(), metadata={}))
     for at in range(0, int(seconds * rate_hz), 4096):
         if at % (1 << 20) == 0:
-            part = resonance(1 << 20, rate_hz, at)
+            part = make(at >> 20)
         block = part[at % (1 << 20) :][:4096]
         writer.readings([Block(at, block, 10**12 + round((at + 4096) * 1e9 / rate_hz))])
     writer.close()
@@ -232,6 +247,33 @@ def test_replay_at_full_speed(tmp_path: Path, method: str) -> None:
         f"load {os.getloadavg()[0]:.0f}"
     )
     assert summary.seconds / cpu > {"score-matching": 60, "spectral": 12}[method]  # of its own core, however busy
+
+
+def test_what_a_replay_spends_its_time_on(tmp_path: Path) -> None:
+    """Each part by itself, and all at once as `rotorscope replay` has it."""
+    seconds = 200.0
+    write_long(tmp_path / "a.mcap", seconds, of_the_rig)
+    log, spectral, logs = read_log(tmp_path / "a.mcap"), maker("spectral", 10.0), iter(range(9))
+    parts: dict[str, tuple[MakeEstimator, list[Callable[[], Sink]]]] = {
+        "reading the log, scaling": (Nothing, []),
+        "estimator": (spectral, []),
+        "layer watch": (Nothing, [lambda: LayerWatch(RIG.model, False, RIG.si_units)]),
+        "naming": (Nothing, [lambda: Naming(RIG, False)]),
+        "new log": (Nothing, [lambda: LogWriter(tmp_path / f"{next(logs)}.mcap", live=False)]),
+        "viewer file": (Nothing, [lambda: RerunSink(str(tmp_path / f"{next(logs)}.rrd"), live=False)]),
+    }
+    parts["all at once"] = spectral, [make for _, sinks in parts.values() for make in sinks]
+    replay_into(log, RIG, [make() for make in parts["all at once"][1]], make=spectral)  # compiles and imports
+    base = 0.0
+    print(f"\nreplay of {seconds:.0f} s, seconds of a core (load {os.getloadavg()[0]:.0f}):", end="")
+    for name, (estimator, sinks) in parts.items():
+        begin = time.process_time()
+        replay_into(log, RIG, [make() for make in sinks], make=estimator)
+        took = time.process_time() - begin
+        base = base or took
+        alone = took if name in ("reading the log, scaling", "all at once") else took - base
+        print(f" {name} {alone:.1f};", end="")
+    print(f" {seconds / took:.0f} times real time of one core")
 
 
 class Nothing:

@@ -4,7 +4,7 @@ from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
 from .severity import ISO_20816_3_LIMITS, ChannelSeverity, iso_zone, severity
-from .spikes import spike_rows
+from .spikes import spike_rows, surely_without_spikes
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
 
@@ -24,6 +24,7 @@ __all__ = [
     "record_messages",
     "severity",
     "spike_rows",
+    "surely_without_spikes",
     "survey_record",
     "usable_record",
     "without_spikes",

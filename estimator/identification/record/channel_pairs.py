@@ -230,6 +230,9 @@ def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[R
     for i, record in enumerate(records):
         others = np.delete(levels, i, axis=0)
         relative = levels[i] - np.mean(others, axis=0)
+        there = relative[np.isfinite(relative)]
+        if not there.size or np.ptp(there) <= limits.min_level_step_db:
+            continue
         at, step = _largest_step(relative)
         rest = np.array([_step_at(o, at) for o in others])
         if abs(step) > limits.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
@@ -272,7 +275,7 @@ def _step_at(level: Array, at: int) -> float:
     before, after = level[:at][np.isfinite(level[:at])], level[at:][np.isfinite(level[at:])]
     if before.size < 3 or after.size < 3:
         return 0.0
-    step = float(np.median(after) - np.median(before))
-    middle = 0.5 * (np.median(after) + np.median(before))
+    low, high = float(np.median(before)), float(np.median(after))
+    step, middle = high - low, 0.5 * (high + low)
     sides = np.sign(step) * np.concatenate([middle - before, after - middle])
     return step if np.mean(sides > 0.0) > 0.9 else 0.0

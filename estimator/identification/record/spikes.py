@@ -33,18 +33,19 @@ def robust_scale(y: Array) -> tuple[float, float]:
         return centre, float(np.median(np.abs(z - centre))) / GAUSSIAN_MAD
 
 
-def _is_surely_without(y: Array, limits: Thresholds) -> bool:
-    """Whether a short channel reaches not half of the limit of a spike, by the scale of a few of its samples.
+def surely_without_spikes(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.bool_]:
+    """(channels,) whether a short channel reaches not half of the limit of a spike, by the scale of a few samples.
 
-    Medians of all samples would be a third of the cost of a live estimate.
+    Medians of all samples would be a third of the cost of a live estimate. y : (n, channels).
     """
-    few = y[:: max(1, y.size // FEW_SAMPLES)]
-    if not 4 * FEW_SAMPLES < y.size < PIECE_ROWS:
-        return False
-    centre, sd = robust_scale(few)
+    if not 4 * FEW_SAMPLES < len(y) < PIECE_ROWS:
+        return np.zeros(y.shape[1], bool)
+    few = y[:: max(1, len(y) // FEW_SAMPLES)]
     with np.errstate(over="ignore", invalid="ignore"):
-        reach = max(float(y.max()) - centre, centre - float(y.min()))
-    return bool(reach < 0.5 * limits.min_spike_sd * sd < np.inf)
+        centre = np.median(few, axis=0)
+        sd = np.median(np.abs(few - centre), axis=0) / GAUSSIAN_MAD
+        reach = np.maximum(y.max(axis=0) - centre, centre - y.min(axis=0))
+        return np.asarray((reach < 0.5 * limits.min_spike_sd * sd) & (sd < np.inf))
 
 
 def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.intp]:
@@ -62,7 +63,7 @@ def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.i
     (k,) int
         Empty where the channel has fewer than 16 samples, or half of them have one value.
     """
-    if _is_surely_without(y, limits):
+    if surely_without_spikes(y[:, None], limits)[0]:
         return np.zeros(0, dtype=np.intp)
     centre, sd = robust_scale(y)
     if not 0.0 < sd < np.inf:

@@ -49,8 +49,8 @@ def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[flo
     cells = CellPower.of(anchor, memory, delta)
     if anchor.data.measured_force:
         return [(0.0, 0.0)] * len(cells.power)
-    out = []
-    middle = [0.5 * (anchor.data.f_hz[c.start] + anchor.data.f_hz[c.stop - 1]) for c in anchor.cell_slices]
+    out, f_hz = [], anchor.data.f_hz
+    middle = [0.5 * (f_hz[c.start] + f_hz[c.stop - 1]) for c in anchor.cell_slices]
     n, freedom = np.maximum(cells.n, 1e-300), 2.0 * cells.n / cells.redundancy
     for power in cells.power:
         ratio = power / n / (power.sum() / n.sum())

@@ -21,7 +21,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
-from estimator.identification.record import spike_rows
+from estimator.identification.record import spike_rows, surely_without_spikes
 from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
 from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_terms
@@ -212,7 +212,7 @@ class RollingEstimator:
 
     def _leave_out_spikes(self, y: Array) -> None:
         """NaN in place of the spikes of a block: one would hide the motion for a time constant."""
-        for k in self._used:
+        for k in np.compress(~surely_without_spikes(y[:, self._used]), self._used):
             if (rows := spike_rows(y[:, k])).size:
                 y[rows, k] = np.nan
                 self._spikes += rows.size
@@ -349,17 +349,20 @@ class RollingEstimator:
         shown = self._scope.shown(judged_parameters(follower, self._first))
         samples = follower.slow.n**2 / follower.slow.n2 * self._block
         likelihood = follower.fit.log_likelihood if follower.fit is not None else None
-        extra = self._missing
-        if self._background_s:
-            extra = {**(extra or {}), BACKGROUND_KEY: self._background_s}
-        self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=extra)
+        self._estimate = Estimate(self._seen, shown, samples, likelihood, extra=self._extra())
         if self._background.is_due(self._seen, partial(is_coloured, follower)):
             self._jobs.append(self._look_for_background)
+
+    def _extra(self) -> dict[str, float] | None:
+        """What is said beside the parameters."""
+        found = {BACKGROUND_KEY: self._background_s} if self._background_s else {}
+        return {**(self._missing or {}), **found} or None
 
     def _look_for_missing(self, follower: Follower) -> None:
         """Renew what is said of missing force."""
         self._missing = missing_force(follower)
-        self._show(follower)
+        if self._estimate is not None and self._estimate.parameters:
+            self._estimate = replace(self._estimate, extra=self._extra())
 
     def _look_for_background(self) -> None:
         """Follow a fit with structural modes and the spectrum of the force, if the last samples show them surely."""

@@ -14,7 +14,7 @@ from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, in
 from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
-from .cell_power import renewed_noise
+from .cell_power import excess_power, renewed_noise
 from .memory import Memory
 from .piece import piece_sums
 
@@ -75,6 +75,7 @@ class Follower:
         self._changes_in_a_row, self._solutions = 0, 0
         self._anchored_level = np.ones(len(anchor.data.places))
         self._noise: tuple[Array, Array] | None = None  # nu and S other than those of the anchor
+        self._excess: list[tuple[float, float]] | None = None  # at the last maximum, once it is asked for
 
     def forget(self, blocks: float) -> None:
         """Let all memories decay."""
@@ -125,7 +126,7 @@ class Follower:
         if anchor.prior.any():  # the covariance is without prior information
             H = slope_and_curvature(gram, jacobian, THE_FOLD, blocks, fit.delta)[2]
             fit = replace(fit, covariance=information_inverse(H))
-        self.fit, self.delta = fit, fit.delta
+        self.fit, self.delta, self._excess = fit, fit.delta, None
         self._slope = self._slopes(gram, jacobian)
 
     def _slopes(self, gram: Gram, jacobian: Jacobian) -> tuple[Array, Array]:
@@ -150,6 +151,13 @@ class Follower:
     def excitation(self) -> Array:
         """(places,) N^2/Hz, PSD of the excitation at the level of the anchor."""
         return self._maximum().S
+
+    def excess_power(self) -> list[tuple[float, float]]:
+        """For every place what the power of the residual force has more than the model in the cell that stands out
+        most, relative, and its frequency, Hz; 0 where none does."""
+        if self._excess is None:
+            self._excess = excess_power(self.anchor, self.slow, self.delta)
+        return self._excess
 
     def _maximum(self) -> PathFit:
         """The last maximum. Raises RuntimeError before the first one."""

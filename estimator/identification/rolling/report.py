@@ -10,7 +10,6 @@ from estimator.identification.batch.unknown_mass import NO_MASS_REASON, unscaled
 from estimator.model.rig import LINEAR_UNITS
 from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
-from .cell_power import excess_power
 from .follower import Follower
 from .start import FirstFit
 
@@ -41,16 +40,14 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
     out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
     out = with_mass_uncertainty(model, _without_lost_laws(follower, out), first.masses)
     out = {**with_unidentifiable_at(unscaled_places(model, first.masses), NO_MASS_REASON, out, "N"), **first.masses}
-    excess = excess_power(anchor, follower.slow, follower.delta)
-    for place, (power, hz) in zip(anchor.data.places, excess, strict=True):
+    for place, (power, hz) in zip(anchor.data.places, follower.excess_power(), strict=True):
         out = _with_colour(out, place, power, hz)
     return out
 
 
 def is_coloured(follower: Follower) -> bool:
     """Whether the spectrum of the residual force at a place is not that of the model."""
-    excess = excess_power(follower.anchor, follower.slow, follower.delta)
-    return any(abs(own) >= MIN_COLOUR_REL for own, _ in excess)
+    return any(abs(own) >= MIN_COLOUR_REL for own, _ in follower.excess_power())
 
 
 def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: float) -> dict[str, Parameter]:
