@@ -15,8 +15,6 @@ from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.located_law import law_along_record
 from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
 from estimator.likelihood.motion.prepare import bring_in_background, inertia_and_shaft
-from estimator.likelihood.path.path_fit import Gram
-from estimator.likelihood.path.tangent_noise import without_tangent_noise
 from estimator.likelihood.response.regressor_set import linear_regressors, regressors
 from estimator.model.rig import Model
 from estimator.signals.band_limit import BandLimitedMotion
@@ -118,7 +116,6 @@ def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) 
         for c, cell in enumerate(anchor.cell_slices):
             z = Z[:, :, 2 * cell.start : 2 * cell.stop].reshape(len(Z), -1)
             gram[c, i][at[:, None], at] = z @ z.T
-    gram, tangents = _without_noise(anchor, data, gram, tangents, kept)
     return Piece(gram=gram, blocks=float(data.blocks), tangents=tangents, mean_tangent=mean_tangent,
                  kept=kept.mean(axis=0), level=level)  # fmt: skip
 
@@ -207,19 +204,3 @@ def line_mask(power: Array, blocks: int) -> Array | None:
     for k, reach in zip(lines, np.sqrt(ratio[lines] / LINE_REACH_SHARE) / np.pi + 1.0, strict=True):
         out[np.abs(bins - k) <= reach] = 0.0
     return out
-
-
-def _without_noise(
-    anchor: Anchor, data: MotionRecord, gram: Array, tangents: Array, kept: Array
-) -> tuple[Array, Array]:  # fmt: skip
-    """Products and tangents without the noise of displacement sensors in the laws."""
-    if "displacement" not in data.kinds or not anchor.placed:
-        return gram, tangents
-    names = anchor.names[: len(tangents)]
-    weights = np.add.reduceat(anchor.whitening.weight * kept, anchor.cells, axis=1) * data.blocks
-    n, none = np.zeros(weights.shape), np.zeros(weights.shape)
-    whole = Gram(G=np.moveaxis(gram, 0, 1), n=n, log_weight=none, tangents=tangents.astype(complex),
-                 scales=anchor.scales[: len(names)], names=names, units=anchor.units[: len(names)])  # fmt: skip
-    here = replace(anchor.whitening, data=data)
-    out = without_tangent_noise(whole, here, (*anchor.placed, *anchor.watched), anchor.nu * anchor.S, weights)
-    return (gram, tangents) if out is whole else (np.moveaxis(out.G, 1, 0), out.tangents.real)

@@ -35,7 +35,6 @@ from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
 from .path_fit import Gram, PathFit, fit_increments, gram_matrices
-from .tangent_noise import without_tangent_noise
 
 SEARCHED_STEP_SD = 0.3  # prior standard deviation of a step of a searched parameter, over its natural scale
 
@@ -203,7 +202,7 @@ def point_at(
     common = {(i, j): force_correlation(data, noise.weight, i, j) for i, j in data.shared}
     made = _all_regressors(data, lin, uses, own) + _common_force_regressors(data, F, noise.weight, common)
     whitened = whitening.whiten(made)
-    G = without_tangent_noise(gram_matrices(whitening, spectra, whitened), whitening, uses, nu * S)
+    G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)
     noisy = data.residual_is_noise
     jacobian = _noise_bias(whitening, A, nu, S) if noisy else _determinant(whitening, along_line(A), correction)

@@ -120,14 +120,8 @@ def with_second_order(
 
 def block_tangents(placed: LocatedLaw, k: int, data: MotionRecord, i: int) -> Array:
     """(blocks, 2) mean tangents of each block to x and v of place i, per unit of parameter k of a memoryless law."""
-    tangents = unit_tangents(placed, k, data, i)
+    tangents = np.asarray(_summed(w * tangent_series(placed, data, i, p) for p, w in _ends(placed, k, data)))
     return np.asarray(tangents.reshape(2, data.blocks, -1).mean(axis=2, dtype=np.float64).T)
-
-
-def unit_tangents(placed: LocatedLaw, k: int, data: MotionRecord, i: int) -> Array:
-    """(2, n) tangents to x and v along place i, per unit of parameter k of a memoryless law."""
-    ends = _ends(placed, k, data)
-    return np.asarray(_summed(w * tangent_series(placed, data, i, p) for p, w in ends))
 
 
 def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
