@@ -1,13 +1,12 @@
-"""Time stepping in compiled code: two schemes with the force held over the step, and the decimation.
+"""Time stepping in compiled code: the force held over the step, and the decimation.
 
 State x, v: the degrees of freedom, in groups of as many slots (a slot without one stays zero), and one more slot that
 is always zero, for "no such degree of freedom". z: memory states. Effects are called by address. The
 output of a step is its average: (v1 - v0) / h is the mean acceleration over the step for any force. So
 acceleration, velocity, displacement and force all pass the same box filter of length h, centred on the step.
 
-Schemes: "rk4" is the classical Runge-Kutta rule. "exponential" propagates the linear rotor exactly, and the
-effects with the two-stage second-order exponential Runge-Kutta rule (Cox and Matthews, J. Comput. Phys. 176, 2002,
-430-455, eq. 22).
+The linear rotor is propagated exactly, the effects with the two-stage second-order exponential Runge-Kutta rule (Cox
+and Matthews, J. Comput. Phys. 176, 2002, 430-455, eq. 22).
 """
 
 from __future__ import annotations
@@ -50,19 +49,6 @@ def _effects(x, v, z, t, phase, table, f, dz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _accelerate(x, v, F, f, K, C, Mi, a):  # type: ignore[no-untyped-def]
-    """Fill a = Mi (F - f) - K x - C v; Mi, K, C (groups, width, width): inverse mass, and it times K and C."""
-    width = K.shape[1]
-    for d in range(K.shape[0]):
-        o = width * d
-        for i in range(width):
-            r = 0.0
-            for j in range(width):
-                r += Mi[d, i, j] * (F[o + j] - f[o + j]) - K[d, i, j] * x[o + j] - C[d, i, j] * v[o + j]
-            a[o + i] = r
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def _emit(out, k, chan, x, v, x1, v1, F, h):  # type: ignore[no-untyped-def]
     """Write the averages of step k into out (channels, steps)."""
     for c in range(chan.shape[0]):
@@ -78,57 +64,12 @@ def _emit(out, k, chan, x, v, x1, v1, F, h):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
-    """Advance x (m), v (m/s) and z by len(F) steps of h s with the classical Runge-Kutta rule.
+def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
+    """Advance x (m), v (m/s) and z by len(F) steps of h s, exactly for the linear rotor at any step.
 
     t0 : s, time of the first step. phase : (steps + 1,) rad, shaft angle. F : (steps, slots) N, held over a step.
-    table : of the effects. matrices : those of `_accelerate`. chan : (channels, 2) kind and slot.
-    out : (channels, steps), filled with the averages of the steps.
-    """
-    K, C, Mi = matrices
-    n, nz = x.size, z.size
-    a1, a2, a3, a4, f = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    xs, x1, v1, v2, v3, v4 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    zs, d1, d2, d3, d4 = np.zeros(nz), np.zeros(nz), np.zeros(nz), np.zeros(nz), np.zeros(nz)
-    for k in range(F.shape[0]):
-        t, Fk = t0 + k * h, F[k]
-        middle = 0.5 * (phase[k] + phase[k + 1])
-        _effects(x, v, z, t, phase[k], table, f, d1)
-        _accelerate(x, v, Fk, f, K, C, Mi, a1)
-        for i in range(n - 1):
-            xs[i], v2[i] = x[i] + 0.5 * h * v[i], v[i] + 0.5 * h * a1[i]
-        for i in range(nz):
-            zs[i] = z[i] + 0.5 * h * d1[i]
-        _effects(xs, v2, zs, t + 0.5 * h, middle, table, f, d2)
-        _accelerate(xs, v2, Fk, f, K, C, Mi, a2)
-        for i in range(n - 1):
-            xs[i], v3[i] = x[i] + 0.5 * h * v2[i], v[i] + 0.5 * h * a2[i]
-        for i in range(nz):
-            zs[i] = z[i] + 0.5 * h * d2[i]
-        _effects(xs, v3, zs, t + 0.5 * h, middle, table, f, d3)
-        _accelerate(xs, v3, Fk, f, K, C, Mi, a3)
-        for i in range(n - 1):
-            xs[i], v4[i] = x[i] + h * v3[i], v[i] + h * a3[i]
-        for i in range(nz):
-            zs[i] = z[i] + h * d3[i]
-        _effects(xs, v4, zs, t + h, phase[k + 1], table, f, d4)
-        _accelerate(xs, v4, Fk, f, K, C, Mi, a4)
-        for i in range(n - 1):
-            x1[i] = x[i] + h / 6.0 * (v[i] + 2.0 * v2[i] + 2.0 * v3[i] + v4[i])
-            v1[i] = v[i] + h / 6.0 * (a1[i] + 2.0 * a2[i] + 2.0 * a3[i] + a4[i])
-        for i in range(nz):
-            z[i] += h / 6.0 * (d1[i] + 2.0 * d2[i] + 2.0 * d3[i] + d4[i])
-        _emit(out, k, chan, x, v, x1, v1, Fk, h)
-        for i in range(n):  # x[:] = x1 takes four seconds to compile, for the message of an error
-            x[i], v[i] = x1[i], v1[i]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
-    """Advance x, v and z by len(F) steps with the exponential rule: exact for the linear rotor at any step.
-
-    matrices : E (groups, 2 width, 2 width), G0, G1 (groups, 2 width, width), the propagator of the rotor. The other
-    arguments are those of `rk4`.
+    table : of the effects. matrices : E (groups, 2 width, 2 width), G0, G1 (groups, 2 width, width), the propagator of
+    the rotor. chan : (channels, 2) kind and slot. out : (channels, steps), filled with the averages of the steps.
     """
     E, G0, G1 = matrices
     width = G0.shape[2]
@@ -169,7 +110,7 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
                     v1[o + i] += vi
         _emit(out, k, chan, x, v, x1, v1, Fk, h)
         for i in range(n):
-            x[i], v[i] = x1[i], v1[i]
+            x[i], v[i] = x1[i], v1[i]  # x[:] = x1 takes four seconds to compile, for the message of an error
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})

@@ -22,7 +22,7 @@ from . import kernel as kernel
 from .plan import Plan, simulation_plan
 from .shaft_speed import ShaftSpeed
 from .start import start_state
-from .stepper import Scheme, Stepper
+from .stepper import Stepper
 
 BLOCK_SAMPLES = 1024  # output samples made at a time; another size gives other random numbers
 MARGIN_SAMPLES = 512  # before and after a block, for the memory of sensor effects
@@ -48,9 +48,6 @@ class Simulator:
         Seed of the random forces and of the sensor effects.
     oversample : int
         Steps per sample, at least 2.
-    scheme : {"exponential", "rk4"}
-        Exponential: exact for the linear rotor, second order in the effects. Both schemes hold the force over a step
-        of dt, with variance S / (2 dt).
     start : {"boltzmann", "rest"}
         The stationary state, or rest.
     speed : ShaftSpeed or None
@@ -61,7 +58,7 @@ class Simulator:
     ModelError
         The model is incomplete, unstable or without a stationary density.
     ValueError
-        `oversample`, `rate_hz` or `scheme` is out of range.
+        `oversample` or `rate_hz` is out of range.
 
     Examples
     --------
@@ -83,7 +80,6 @@ class Simulator:
         seed: int = 0,
         oversample: int = 8,
         *,
-        scheme: Scheme = "exponential",
         start: Literal["boltzmann", "rest"] = "boltzmann",
         speed: ShaftSpeed | None = None,
     ) -> None:
@@ -97,7 +93,7 @@ class Simulator:
         motion, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(self.plan.sensors))
         self._rng = np.random.default_rng(motion)
         self._sensor_rngs = [np.random.default_rng(s) for s in sensor_seeds]
-        self._step = Stepper(self.plan, 1.0 / (rate_hz * oversample), scheme, self.speed)
+        self._step = Stepper(self.plan, 1.0 / (rate_hz * oversample), self.speed)
         self._taps = antialias_taps(oversample)
         before = MARGIN_SAMPLES * oversample + self._taps.size // 2
         self._step.x, self._step.v, self._step.z, self._step.count = start_state(
@@ -212,7 +208,6 @@ def simulate(
     noise: float | Mapping[str, float] = 0.0,
     full_scale: float | Mapping[str, float] | None = None,
     oversample: int = 8,
-    scheme: Scheme = "exponential",
     start: Literal["boltzmann", "rest"] = "boltzmann",
     speed: ShaftSpeed | None = None,
 ) -> Array:
@@ -233,7 +228,7 @@ def simulate(
         every acceleration, velocity and displacement channel.
     full_scale : float, mapping of str to float, or None
         Full scale of the 16-bit counts, as `noise`; None leaves the signal unrounded.
-    oversample, scheme, start, speed
+    oversample, start, speed
         As those of `Simulator`.
 
     Returns
@@ -254,7 +249,7 @@ def simulate(
     >>> simulate(rig, rate_hz=25600.0, seconds=0.1, seed=1).shape
     (2560, 1)
     """
-    source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed)
+    source = Simulator(model, rate_hz, seed, oversample, start=start, speed=speed)
     y = source.next(round(seconds * rate_hz))
     _add_noise(y, model, np.random.default_rng(np.random.SeedSequence((seed, 1))), noise, full_scale)
     return y

@@ -68,7 +68,7 @@ def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperat
     rig = plan.rig
     m, w = np.diag(rig.M), np.sqrt(np.diag(rig.K) / np.diag(rig.M))
     strong = replace(rig, C=np.diag(0.5 * m * w), S=2.0 * 2.0 * temperature * 0.5 * m * w)
-    other = type(stepper)(replace(plan, rig=strong), stepper.dt, stepper.scheme, stepper.speed)
+    other = type(stepper)(replace(plan, rig=strong), stepper.dt, stepper.speed)
     other.x, other.v, other.z = stepper.x, stepper.v, stepper.z
     steps = round(60.0 / (0.5 * w.min()) / stepper.dt)
     while steps > 0:

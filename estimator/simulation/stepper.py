@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from estimator.arrays import Array
@@ -14,21 +12,18 @@ from . import kernel as kernel
 from .plan import Plan, Slots, effect_table
 from .shaft_speed import ShaftSpeed
 
-Scheme = Literal["exponential", "rk4"]
 SHAPE_TAPS = 4096  # length of the filter that gives a force its spectral shape
 
 
 class Stepper:
     """The rotor's state and the compiled step.
 
-    plan : of the model. dt : s, length of a step. scheme : of the stepping. speed : of the shaft; None: angle 0.
+    plan : of the model. dt : s, length of a step. speed : of the shaft; None: angle 0.
     x, v : (slots,) m and m/s. z : memory states. count : number of the next step; step k starts at k * dt.
     """
 
-    def __init__(self, plan: Plan, dt: float, scheme: Scheme, speed: ShaftSpeed | None) -> None:
-        if scheme not in ("exponential", "rk4"):
-            raise ValueError(f'scheme {scheme!r}: "exponential" or "rk4"')
-        self.plan, self.dt, self.speed, self.scheme = plan, dt, speed, scheme
+    def __init__(self, plan: Plan, dt: float, speed: ShaftSpeed | None) -> None:
+        self.plan, self.dt, self.speed = plan, dt, speed
         rig, self.slots = plan.rig, Slots.of(plan.rig)
         self._table, states, self._kept = effect_table(plan.acting, self.slots)
         n = self.slots.count
@@ -43,13 +38,8 @@ class Stepper:
             if i in self.driven
         ]
         self._past: Array | None = None  # white force before this call, for the colouring filters
-        self._matrices: tuple[Array, Array, Array]
-        if scheme == "exponential":
-            E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
-            self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
-        else:
-            Mi = np.asarray(np.linalg.inv(rig.M), np.float64)
-            self._matrices = self.slots.blocks(Mi @ rig.K), self.slots.blocks(Mi @ rig.C), self.slots.blocks(Mi)
+        E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
+        self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
         self._channels = plan.channels.astype(np.uintp)
         self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
 
@@ -70,9 +60,8 @@ class Stepper:
         steps = len(F)
         t: Array = np.asarray((self.count + np.arange(steps + 1)) * self.dt, dtype=np.float64)
         phase = self.speed.phase(t) if self.speed else np.zeros(steps + 1)
-        run = kernel.rk4 if self.scheme == "rk4" else kernel.exponential
         at = (self.count * self.dt, self.dt, phase, F)
-        run(self.x, self.v, self.z, *at, self._table, self._matrices, self._channels, out)
+        kernel.exponential(self.x, self.v, self.z, *at, self._table, self._matrices, self._channels, out)
         self.count += steps
 
     def _force(self, rng: np.random.Generator, steps: int) -> Array:

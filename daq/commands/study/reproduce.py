@@ -1,8 +1,9 @@
 """`rotorscope reproduce OUT/`: sections 5 and 6 of Tiwari and Vyas (1997) on the paper's rig.
 
-The protocol of section 5: parameters in, eq. (8) integrated by Runge-Kutta under broad-band Gaussian forces at the two
-caps, histogram, eq. (36), parameters out, compare; both directions. Twice: with the rig's own shaft, and with a shaft
-as stiff as the bearings, the only one with which the masses can come out. Section 6: the bearing by Hertz's theory.
+The protocol of section 5: parameters in, eq. (8) integrated by an exponential Runge-Kutta rule under broad-band
+Gaussian forces at the two caps, histogram, eq. (36), parameters out, compare; both directions. Twice: with the rig's
+own shaft, and with a shaft as stiff as the bearings, the only one with which the masses can come out. Section 6: the
+bearing by Hertz's theory.
 What agrees and what cannot be known from the paper is in docs/paper.md.
 """
 

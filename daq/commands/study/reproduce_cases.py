@@ -101,9 +101,9 @@ def paper_model(shaft_stiffness: float) -> tuple[Model, float]:
 
 
 def run_case(name: str, title: str, shaft: float, seconds: float, seed: int, progress: Callable[[float], None]) -> Case:
-    """Simulate one rig: fourth-order Runge-Kutta, force held over the step, started from the stationary density."""
+    """Simulate one rig: exponential Runge-Kutta, force held over the step, started from the stationary density."""
     model, temperature = paper_model(shaft)
-    source = Simulator(model, RATE_HZ, seed, OVERSAMPLE_FACTOR, scheme="rk4")
+    source = Simulator(model, RATE_HZ, seed, OVERSAMPLE_FACTOR)
     parts = []
     chunks = max(1, round(seconds / 10.0))
     for k in range(chunks):

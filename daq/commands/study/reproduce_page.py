@@ -79,7 +79,7 @@ def write_page(out: Path, numbers: Mapping[str, Any], figures: Mapping[int, str]
     parts = [
         "<h1>Tiwari and Vyas (1997), sections 5 and 6, on this rig</h1>",
         f"<p>Parameters in, {numbers['seconds']:g} s simulated at {numbers['rate_hz']:g} Hz "
-        "(Runge-Kutta, force held over the step), histogram, eq. (36), parameters out. "
+        "(exponential Runge-Kutta, force held over the step), histogram, eq. (36), parameters out. "
         "Value, half-width of the 95 % interval, error in per cent. "
         "The numbers that go in are this project's: those of the paper did not survive in the copy at hand "
         "(docs/paper.md).</p>",

@@ -45,7 +45,7 @@ def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Arra
     channels = tuple(model.channels[c] for c in motion_channels(model))
     plan = simulation_plan(replace(model, channels=channels))
     speed = ShaftSpeed(model.speed_rpm) if model.speed_rpm is not None else None
-    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE_FACTOR), "exponential", speed)
+    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE_FACTOR), speed)
     stepper.count = first * OVERSAMPLE_FACTOR
     slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]
     out = np.empty_like(force)
