@@ -39,7 +39,7 @@ MAX_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
 MAX_PARTS_APART_REL = 0.07  # of the stiffness: a mode of the wrong form moves it by 10 to 25 %, chance by 1 to 3 %
 PAUSE_REL = 2  # all samples so far times this, until the next search
 MAX_CORE_SHARE = 0.04  # of one core, that searches take in the long run
-MAX_SEARCH_S = 8.0  # of a core, for one search
+FIRST_WORK_S, MAX_WORK_S = 0.1, 8.0  # of a core, for the first search and at most for one, beside its samples
 SAMPLES_PER_S = 5e6  # of all channels that a core filters and transforms, about: a processor of 2020
 FITTED_SAMPLES_PER_S = 1e6  # the same with a fit
 DERIVATIVES_PER_S = 2e7  # of spectra, by parameters, that a core computes and multiplies
@@ -74,12 +74,12 @@ class BackgroundSearch:
         least = BACKGROUND_PARTS * START_BLOCKS * block
         rows = min(max(int(RECORD_S * rate_hz), least), MAX_ROWS) // block * block
         self.rows = rows if rows >= least else 0
-        self._rate_hz, self._channels, self._block = rate_hz, channels, block
-        self._part, self._next, self._run = rows // BACKGROUND_PARTS, rows // BACKGROUND_PARTS, run
+        self._rate_hz, self._channels, self._block, self._run = rate_hz, channels, block, run
+        self._next = self._part = rows // BACKGROUND_PARTS
         self._parts: list[Mapping[str, float]] = []  # stiffness by place, of the parts that show a background
         self._search: Search | None = None  # that has begun
-        self._work, self._spent_s = Work(), 0.0  # of the search that has begun, and of a core so far
-        self._needed_s = 2.0 * self._samples_s  # of a core, to begin a search
+        self._work = Work()  # of the search that has begun
+        self._work_s, self._spent_s = FIRST_WORK_S, 0.0  # of a core, for the next search, and so far
 
     @property
     def _whole(self) -> bool:
@@ -89,19 +89,18 @@ class BackgroundSearch:
     @property
     def _samples_s(self) -> float:
         """Time of a core for the samples of the next search, s."""
-        if self._whole:
-            return self.rows * self._channels / FITTED_SAMPLES_PER_S
-        return self._part * self._channels / SAMPLES_PER_S
+        rows, per_s = (self.rows, FITTED_SAMPLES_PER_S) if self._whole else (self._part, SAMPLES_PER_S)
+        return rows * self._channels / per_s
 
     def _allowed_s(self, seen: int) -> float:
-        """Time of a core that may be spent after so many rows, s."""
-        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s, MAX_SEARCH_S)
+        """Time of a core for the work of the next search beside its samples, after so many rows, s."""
+        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s - self._samples_s, MAX_WORK_S)
 
     def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
         """Whether to go on after so many rows. coloured : whether the residual force is not white."""
         if self.rows == 0 or seen < self._next:
             return False
-        return self._search is not None or (self._allowed_s(seen) >= self._needed_s and coloured())
+        return self._search is not None or (self._allowed_s(seen) >= self._work_s and coloured())
 
     def step(self, seen: int, first: FirstFit, lines: Model, blocks: Sequence[Array]) -> FirstFit | None:
         """Begin a search, or end one: a fit with another background than the known one, once it is sure.
@@ -111,30 +110,29 @@ class BackgroundSearch:
         """
         if self._search is not None:
             return self._end(seen, self._search())
-        allowed = self._allowed_s(seen)
-        self._work = Work(limit=(allowed - self._samples_s) * DERIVATIVES_PER_S)
+        allowed_s = self._allowed_s(seen)
+        self._work = Work(limit=allowed_s * DERIVATIVES_PER_S)
         y = np.concatenate(blocks)[-(self.rows if self._whole else self._part) :]
         asked = first, self._whole, lines, y, self._rate_hz, self._block, self._work
         self._search = self._run(partial(_searched, *asked))
-        self._next = seen + max(self._part // 2, int(SLOW_MACHINE * allowed * self._rate_hz))
+        self._next = seen + max(self._part // 2, int(SLOW_MACHINE * (allowed_s + self._samples_s) * self._rate_hz))
         return None
 
     def _end(self, seen: int, found: Finding | None) -> FirstFit | None:
         """End a search."""
-        self._search = None
-        self._spent_s += self._samples_s + min(self._work.done, self._work.limit) / DERIVATIVES_PER_S
+        self._search, work_s = None, min(self._work.done, self._work.limit) / DERIVATIVES_PER_S
+        self._spent_s += self._samples_s + work_s
+        self._work_s = 1.5 * work_s
         if self._work.done > self._work.limit:
-            self._needed_s = 2.0 * (self._samples_s + self._work.limit / DERIVATIVES_PER_S)
+            self._work_s = 2.0 * work_s
             return None
-        whole, parts = self._whole, [] if found is None else [*self._parts, found.stiffness]
-        if found is None or not _agree(parts) or whole:
-            self._parts, self._next = [], PAUSE_REL * seen
-            self._needed_s = 2.0 * self._samples_s
-            return found.first if found is not None and _agree(parts) else None
-        self._parts = parts
-        self._needed_s = self._samples_s + 1.5 * self._work.done / DERIVATIVES_PER_S
-        self._next = seen + (self._part // 2 if not self._whole else 0)
-        return None
+        whole, self._parts = self._whole, [] if found is None else [*self._parts, found.stiffness]
+        if found is not None and not whole and _agree(self._parts):
+            self._next = seen + (0 if self._whole else self._part // 2)
+            return None
+        first = found.first if found is not None and _agree(self._parts) else None
+        self._parts, self._next = [], PAUSE_REL * seen
+        return first
 
 
 def _agree(parts: Sequence[Mapping[str, float]]) -> bool:

@@ -5,8 +5,6 @@ It shows sensor noise other than that of the anchor, and a spectrum that no forc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from estimator.arrays import Array
@@ -21,22 +19,12 @@ NOISE_GRID_POINTS = 61
 MAX_COLOUR_P = 1e-8  # of the power of a cell, by chance: with 50 cells one false reason in a million estimates
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellPower:
-    """Power of the whitened residual force. power : (places, cells) N^2/Hz, sum over the bins of each cell and the
-    weighted blocks. n : (cells,) weighted number of bins. redundancy : variance of a sum over that of as many values of
-    weight 1."""
-
-    power: Array
-    n: Array
-    redundancy: float
-
-    @classmethod
-    def of(cls, anchor: Anchor, memory: Memory, delta: Array) -> CellPower:
-        """The power in a memory at increments delta (k,), scaled."""
-        b, K = np.append(1.0, delta), 1 + anchor.own
-        power = np.einsum("a,ciab,b->ic", b, memory.gram[:, :, :K, :K], b)
-        return cls(power=power, n=np.add.reduceat(memory.kept, anchor.cells), redundancy=memory.n2 / memory.n)
+def cell_power(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Array]:
+    """Power of the whitened residual force in a memory, (places, cells) N^2/Hz, and the weighted number of bins of each
+    cell, (cells,). The power is a sum over the bins and the weighted blocks. delta : (k,) increments, scaled."""
+    b, K = np.append(1.0, delta), 1 + anchor.own
+    power = np.einsum("a,ciab,b->ic", b, memory.gram[:, :, :K, :K], b)
+    return power, np.add.reduceat(memory.kept, anchor.cells)
 
 
 def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[float, float]]:
@@ -46,19 +34,18 @@ def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[flo
     """
     from scipy.special import chdtr, chdtrc
 
-    cells = CellPower.of(anchor, memory, delta)
     if anchor.data.measured_force:
-        return [(0.0, 0.0)] * len(cells.power)
-    out, f_hz = [], anchor.data.f_hz
-    middle = [0.5 * (f_hz[c.start] + f_hz[c.stop - 1]) for c in anchor.cell_slices]
-    n, freedom = np.maximum(cells.n, 1e-300), 2.0 * cells.n / cells.redundancy
-    for power in cells.power:
-        ratio = power / n / (power.sum() / n.sum())
-        p = np.minimum(chdtr(freedom, freedom * ratio), chdtrc(freedom, freedom * ratio))
-        told = (p < MAX_COLOUR_P) & (cells.n > 0.0)
-        worst = int(np.argmax(np.where(told, np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-300)), 0.0)))
-        out.append((float(ratio[worst] - 1.0) if told[worst] else 0.0, float(middle[worst])))
-    return out
+        return [(0.0, 0.0)] * len(anchor.data.places)
+    powers, bins = cell_power(anchor, memory, delta)
+    f_hz = anchor.data.f_hz
+    middle = np.array([0.5 * (f_hz[c.start] + f_hz[c.stop - 1]) for c in anchor.cell_slices])
+    n, freedom = np.maximum(bins, 1e-300), 2.0 * bins * memory.n / memory.n2
+    ratio = powers / n / (powers.sum(axis=1, keepdims=True) / n.sum())
+    p = np.minimum(chdtr(freedom, freedom * ratio), chdtrc(freedom, freedom * ratio))
+    told = (p < MAX_COLOUR_P) & (bins > 0.0)
+    worst = np.argmax(np.where(told, np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-300)), 0.0), axis=1)
+    at = np.arange(len(powers)), worst
+    return list(zip(np.where(told[at], ratio[at] - 1.0, 0.0).tolist(), middle[worst].tolist(), strict=True))
 
 
 def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Array] | None:
@@ -69,7 +56,7 @@ def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, 
     data = anchor.data
     if memory.n < MIN_BLOCKS or data.residual_is_noise:
         return None
-    cells = CellPower.of(anchor, memory, delta)
+    powers, bins = cell_power(anchor, memory, delta)
     share = np.add.reduceat(memory.kept, anchor.first)  # of the nodes
     cell = np.searchsorted(anchor.cells, anchor.nodes, side="right") - 1
     used = np.flatnonzero(np.bincount(cell, share, anchor.cells.size) > 0.0)
@@ -84,8 +71,8 @@ def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, 
     own = np.einsum("kii->ik", gain) * shape
     known = data.excitation_shape[:, anchor.nodes] - own * anchor.nu[:, None]
     known += np.einsum("kil,lk->ik", gain, shape * (anchor.nu * anchor.S)[:, None]) / anchor.S[:, None]
-    n, nu, S, gained = cells.n[used], anchor.nu.copy(), anchor.S.copy(), 0.0
-    for i, z in enumerate(cells.power[:, used]):
+    n, nu, S, gained = bins[used], anchor.nu.copy(), anchor.S.copy(), 0.0
+    for i, z in enumerate(powers[:, used]):
         grid = np.concatenate([[0.0], np.geomspace(MIN_NOISE_RATIO, 1e3, NOISE_GRID_POINTS) / own[i].mean()])
 
         def fit(ratio: Array, i: int = i, z: Array = z) -> tuple[Array, Array]:

@@ -19,7 +19,6 @@ from functools import partial
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.record import spike_rows, surely_without_spikes
 from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
@@ -27,10 +26,10 @@ from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_terms
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.model.rig import Model
+from estimator.model.rig import Channel, Model
 from estimator.results import BACKGROUND_KEY, SPIKES_KEY, WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion, half_length
-from estimator.signals.channel_response import RESPONSE_EFFECTS, anti_alias_response, fault_response
+from estimator.signals.channel_response import anti_alias_response, channel_response
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .anchor import anchor_at
@@ -124,7 +123,7 @@ class RollingEstimator:
             kinds, rate_hz, model.band, shaft_terms(model), slow=True, undone=anti_alias_response(model, rate_hz),
             dtype=np.float32,
         )  # fmt: skip
-        self._gain = _sensor_gains(self.model)[self._used]
+        self._gain = np.array([self._gain_of(model.channels[c]) for c in self._used])
         self._block = max(MIN_BLOCK_ROWS, 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0]))))
         self._job_rows = self._block // JOBS_PER_BLOCK
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
@@ -153,6 +152,12 @@ class RollingEstimator:
         self._nothing = all(reasons) and bool(reasons)  # no place has an identifiable parameter
         if self._nothing:
             self._estimate = Estimate(0, {}, 0.0, status=reasons[0])
+
+    def _gain_of(self, channel: Channel) -> float:
+        """Gain of a channel by the sensor gain errors that the model gives."""
+        if channel.kind == "force":
+            return 1.0
+        return float(channel_response(self.model, channel.place, np.zeros(1))[0].real)
 
     def update(self, block: Array) -> None:
         """Take the next rows, (n, channels), SI; NaN where a sample is missing or clipped."""
@@ -383,14 +388,3 @@ class RollingEstimator:
             if self._margin:
                 self._calm = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)
         self._show(follower)
-
-
-def _sensor_gains(model: Model) -> Array:
-    """(channels,) gain of each channel by the sensor gain errors that the model gives."""
-    out = np.ones(len(model.channels))
-    for use in model.effects:
-        gain = use.name in RESPONSE_EFFECTS and CATALOGUE[use.name].scales_channel
-        for place, settings in use.parameters.items() if gain else ():
-            own = [k for k, c in enumerate(model.channels) if c.place == place and c.kind != "force"]
-            out[own] *= fault_response(use.name, {name: s.value for name, s in settings.items()}, np.zeros(1))[0].real
-    return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,14 +82,7 @@ def in_time_folds(data: MotionRecord) -> MotionRecord:
     return replace(data, fold=time_folds(data.blocks))
 
 
-@dataclass(slots=True)
-class _Forces:
-    """Forces at one place: what no increment changes, and the regressors by number, series and value."""
-
-    known: NDArray[np.floating]
-    numbers: list[int] = field(default_factory=list)
-    series: list[NDArray[np.floating]] = field(default_factory=list)
-    values: list[float] = field(default_factory=list)
+_Term = tuple[int, NDArray[np.floating], float]  # number, series and value of a regressor
 
 
 def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) -> Piece:
@@ -99,20 +92,21 @@ def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) 
     """
     K, P = len(anchor.names) if watched else anchor.own, len(data.places)
     tangents, mean_tangent = np.zeros((K, P, P, 2)), np.zeros((P, P, 2))
-    forces = _forces(anchor, data, watched, tangents, mean_tangent)
-    spectra = [_spectra(anchor, i, own, data.blocks) for i, own in enumerate(forces)]
-    power = np.array([_power(Z, own.numbers, delta) for Z, own in zip(spectra, forces, strict=True)]) / data.blocks
+    known, terms = _forces(anchor, data, watched, tangents, mean_tangent)
+    numbers = [[k for k, _, _ in own] for own in terms]
+    spectra = [_spectra(anchor, i, known[i], own, data.blocks) for i, own in enumerate(terms)]
+    power = np.array([_power(Z, own, delta) for Z, own in zip(spectra, numbers, strict=True)]) / data.blocks
     mask = None if data.measured_force else line_mask(power, data.blocks)
     kept = anchor.kept if mask is None else anchor.kept * mask
     level = _level(anchor, power, kept)
     gram = np.zeros((anchor.cells.size, P, 1 + K, 1 + K))
-    for i, (Z, own) in enumerate(zip(spectra, forces, strict=True)):
+    for i, (Z, own) in enumerate(zip(spectra, numbers, strict=True)):
         if level[i] != 1.0:
             psd = anchor.whitening.relative_psd(i, level[i : i + 1])[0]
             Z *= np.repeat(1.0 / np.sqrt(psd), 2).astype(np.float32)
         if mask is not None:
             Z *= np.repeat(mask, 2).astype(np.float32)
-        at = np.array([0, *(1 + k for k in own.numbers)])
+        at = np.array([0, *(1 + k for k in own)])
         for c, cell in enumerate(anchor.cell_slices):
             z = Z[:, :, 2 * cell.start : 2 * cell.stop].reshape(len(Z), -1)
             gram[c, i][at[:, None], at] = z @ z.T
@@ -120,16 +114,20 @@ def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) 
                  kept=kept.mean(axis=0), level=level)  # fmt: skip
 
 
-def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, mean_tangent: Array) -> list[_Forces]:
-    """The forces at every place. tangents, mean_tangent : filled with those of the regressors and of all forces."""
+def _forces(
+    anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, mean_tangent: Array
+) -> tuple[list[NDArray[np.floating]], list[list[_Term]]]:
+    """The forces at every place: what no increment changes, and the regressors. tangents, mean_tangent : filled with
+    those of the regressors and of all forces."""
     numbers, lin, value_of = {name: k for k, name in enumerate(anchor.names)}, anchor.lin, anchor.value_of
-    out = [_Forces(known) for known in data.known]
-    linear = [t for i in range(len(out)) for t in linear_regressors(data, i, lin[i])]
+    known: list[NDArray[np.floating]] = [*data.known]
+    terms: list[list[_Term]] = [[] for _ in known]
+    linear = [t for i in range(len(known)) for t in linear_regressors(data, i, lin[i])]
     made = [(t, 0.0 if t.mass_at is not None else value_of[t.name]) for t in linear]  # m a is known
     for i, place in enumerate(data.places):
         for which, (key, z) in enumerate((("kL", data.x[i]), ("c", data.v[i]))):
             if (held := data.held.get(f"{place}.{key}")) is not None:
-                out[i].known = out[i].known + np.float32(held) * z
+                known[i] = known[i] + np.float32(held) * z
                 mean_tangent[i, i, which] += held
     for use in anchor.placed:
         own = {t.name: t for t in regressors(use, data, lin)}
@@ -141,7 +139,7 @@ def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, 
         made += [(t, values.get(t.name, 0.0)) for t in own.values()]
         for i in use.at if whole else ():
             force, slopes, _ = law_along_record(use, data, i, lin)
-            out[i].known = out[i].known + force
+            known[i] = known[i] + force
             mean_tangent[i] += data.over_folds(slopes)
     for use in anchor.watched if watched else ():
         made += [(t, 0.0) for t in regressors(use, data, lin, True)]
@@ -150,17 +148,17 @@ def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, 
         tangents[k] = t.tangent * anchor.scales[k]
         mean_tangent += value * t.tangent
         for i, series in t.series.items():
-            out[i].numbers.append(k)
-            out[i].series.append(series)
-            out[i].values.append(value)
-    return out
+            terms[i].append((k, series, value))
+    return known, terms
 
 
-def _spectra(anchor: Anchor, i: int, own: _Forces, blocks: int) -> NDArray[np.float32]:
+def _spectra(
+    anchor: Anchor, i: int, known: NDArray[np.floating], terms: Sequence[_Term], blocks: int
+) -> NDArray[np.float32]:  # fmt: skip
     """(1 + regressors, blocks, 2 bins) whitened spectra at place i, of the residual force first."""
-    out = np.empty((1 + len(own.numbers), blocks, 2 * anchor.bins), np.float32)
-    anchor.whitening.spectrum(i, own.known, out=out[0])
-    for Z, k, series, value in zip(out[1:], own.numbers, own.series, own.values, strict=True):
+    out = np.empty((1 + len(terms), blocks, 2 * anchor.bins), np.float32)
+    anchor.whitening.spectrum(i, known, out=out[0])
+    for Z, (k, series, value) in zip(out[1:], terms, strict=True):
         anchor.whitening.spectrum(i, series, anchor.scales[k], Z)
         if value:
             out[0] += np.float32(value / anchor.scales[k]) * Z

@@ -78,7 +78,7 @@ def rolling_scope(model: Model) -> RollingScope:
             names = {q.name: f"{key}.{use.name}.{q.name}" for q in effect.parameters}
             held = _held_parameters(effect, model)
             missing = [name for name in held if own.get(name, Setting()).value is None]
-            if not _is_estimated_or_held(effect) or missing:
+            if missing or not (_is_state_law(effect) or _is_undone_as_given(effect)):
                 why = _reason_not_estimated(effect, missing)
                 not_estimated |= {
                     names[q.name]: Parameter(None, None, q.unit, identifiable=False, reason=why)
@@ -130,11 +130,6 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
     if not values or None in values or not kL:
         return disc_of(model) is not None
     return 0.5 * sum(abs(v or 0.0) for v in values) > MIN_CRACK_STIFFNESS_REL * kL
-
-
-def _is_estimated_or_held(effect: Effect) -> bool:
-    """Whether an effect is estimated or held, not left to a fit."""
-    return _is_state_law(effect) or _is_undone_as_given(effect)
 
 
 def _is_undone_as_given(effect: Effect) -> bool:
