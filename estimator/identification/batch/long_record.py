@@ -6,7 +6,7 @@ whole record. Where the parts differ by more than chance, the standard deviation
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
@@ -47,7 +47,6 @@ def fit_of_all_parts(found: FullFit, y: Array, rate_hz: float) -> FitOfParts | N
             data = prepare(found.model, y, rate_hz, part=part)
         except DataError:  # what remains is too short
             break
-        data = replace(data, residual_is_noise=found.point.data.residual_is_noise)
         point = fit_model(data, list(found.point.placed), found.point)
         parts.append(fitted_estimates(point))
         lengths.append(data.blocks * data.block)

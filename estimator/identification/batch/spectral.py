@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.residual import measured_path
+from estimator.identification.residual.measured_path import force_noise_ratio
 from estimator.identification.structure.spectral_cells import mean_power
-from estimator.likelihood.fitting.gauss_newton import fit_model, last_step_sd
+from estimator.likelihood.fitting.gauss_newton import last_step_sd
 from estimator.likelihood.motion.prepare import RECORD_LONG_CODE, check_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import LINEAR_UNITS, Model
@@ -18,7 +18,6 @@ from estimator.results import Fit, Message, Parameter
 from .full_fit import FullFit, fit_all_effects
 from .long_record import fit_of_all_parts
 
-MAX_UNMEASURED_POWER_REL = 1e-3  # of the power of the measured force: a smaller rest is noise or force, either will do
 MAX_LAST_STEP_SD = 1.0  # last step of a fit, standard deviations: a larger one has not converged
 MIN_COLOUR_SD = 5.0  # of the residual force in a band of cells: one false message in 1e5 records
 MIN_COLOUR_REL = 0.05  # of S, from which it matters to a parameter
@@ -49,32 +48,31 @@ def fit_spectral(model: Model, y: Array, rate_hz: float) -> Fit:
         The record cannot answer: too short, a dead channel, no resonance in the band.
     """
     found = fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
-    if residual_is_noise(found.model, found.point):
-        data = replace(found.point.data, residual_is_noise=True)
-        found = replace(found, point=fit_model(data, list(found.point.placed), found.point))
     messages = (*found.messages, *_fit_messages(found))
+    noisy = force_noise_ratio(found.model, found.point)
+    messages += tuple(_force_noise_message(place, ratio) for place, ratio in noisy.items())
     whole = fit_of_all_parts(found, y, rate_hz)
     result = found.to_fit() if whole is None else replace(found.to_fit(), samples=whole.samples)
     if whole is not None:
         messages = tuple(m for m in messages if m.code != RECORD_LONG_CODE)
     parameters = found.with_estimates(None if whole is None else whole.estimates)
+    for name, c in [(f"{place}.c", parameters[f"{place}.c"]) for place in noisy]:
+        if c.value is not None and c.sd is not None:
+            wide = float(np.hypot(c.sd, noisy[name.removesuffix(".c")] * c.value))
+            parameters[name] = Parameter.from_estimate(c.value, wide, c.unit)
     return replace(result, parameters=_given_masses(found.model) | parameters, messages=messages)
+
+
+def _force_noise_message(place: str, ratio: float) -> Message:
+    """The message that noise of a force channel biases the damping. ratio : of its power to that of the force."""
+    text = f"noise of the force channel has {100 * ratio:.2g} % of the power of the force: c is too large by as much"
+    return Message("force_noise", f"{place}: {text}", place)
 
 
 def _given_masses(model: Model) -> dict[str, Parameter]:
     """Masses that the rig file gives, by full name."""
     given = {place: model.cap_mass(place) for place in model.places}
     return {f"{p}.m": Parameter(m, 0.0, LINEAR_UNITS["m"], reason="given") for p, m in given.items() if m is not None}
-
-
-def residual_is_noise(model: Model, point: WorkingPoint) -> bool:
-    """Whether a force is measured at every place, and what remains of it is noise of the sensors and not negligible."""
-    data = point.data
-    if not np.all(data.measured_force_psd > 0.0) or np.all(
-        MAX_UNMEASURED_POWER_REL * data.measured_force_psd > point.S
-    ):
-        return False
-    return not measured_path.has_unmeasured_force(model, point)
 
 
 def _fit_messages(found: FullFit) -> tuple[Message, ...]:

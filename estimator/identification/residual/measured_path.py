@@ -38,6 +38,7 @@ LINE_HALF_WIDTH_BINS = 2.5  # left out on either side of a tone
 MAX_FAULT_P_VALUE = 1e-2  # of a finding
 MIN_EXPLAINED_SHARE = 0.8  # of the coherent power, for a fault: it leaves at most a fifth of what it explains
 MIN_BIAS_SD = 8.0  # of the coherent power, for a path that is bent by an unknown cause
+MIN_FORCE_NOISE_RATIO = 2e-3  # of powers, noise of a channel over force: less moves c by less than its sd
 MIN_GAIN_ERROR_REL = 2e-3  # of a gain: less is within any calibration and weighing of a cap
 MIN_GAIN_OVER_NOISE = 2.0  # of a gain error over the share of noise that the force channel may have
 DELAY_STARTS_SAMPLES = (0.0, -3.0, -1.0, 1.0, 3.0)  # from which searches start
@@ -226,12 +227,21 @@ def _bias_region(r: MeasuredPath, error: Complexes) -> str:
     return f"the motion does not follow the measured force as the model predicts near {r.w[k] / 2 / np.pi:.0f} Hz"
 
 
-def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
-    """Whether at some place of known mass more of the residual force is unmeasured force than noise of its channel."""
-    places = measured_force_places(model)
-    at_places = [i for i, p in enumerate(point.data.places) if p in places and model.cap_mass(p) is not None]
-    paths = [measured_path(point, i, known_lines(model)) for i in at_places if point.kL[i] > 0.0]
-    return any(r is not None and r.noise_share < 0.5 for r in paths)
+def force_noise_ratio(model: Model, point: WorkingPoint) -> dict[str, float]:
+    """Power of the noise of a force channel over that of the force, by place, where it is worth a word.
+
+    The fit takes the residual force for a force that nobody measures. Noise of the force channel makes c too large by
+    this ratio.
+    """
+    out = {}
+    for i, place in enumerate(point.data.places):
+        known = place in measured_force_places(model) and model.cap_mass(place) is not None and point.kL[i] > 0.0
+        r = measured_path(point, i, known_lines(model)) if known else None
+        if r is not None:
+            rest = r.noise_share * float(np.average(r.rest / r.force, weights=r.hz))  # p (1 - p), p the share of noise
+            share = 0.5 * (1.0 - float(np.sqrt(max(1.0 - 4.0 * rest, 0.0))))
+            out[place] = share / (1.0 - share)
+    return {place: ratio for place, ratio in out.items() if ratio > MIN_FORCE_NOISE_RATIO}
 
 
 def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:

@@ -26,7 +26,6 @@ from estimator.likelihood.response.regressor_set import (
 )
 from estimator.likelihood.whitening.contour import modes_at
 from estimator.likelihood.whitening.determinant import Jacobian, line_weights, tangent_times
-from estimator.likelihood.whitening.noise_bias import NoiseBias
 from estimator.likelihood.whitening.whitening import Whitening
 
 NODES_PER_WIDTH = 6.0  # of a resonance: the midpoint rule is then good to 1e-3 standard deviations of the parameters
@@ -115,7 +114,7 @@ class Anchor:
         mean_tangent : (places, places, 2). tangents : (m, places, places, 2) of the first m names, scaled. share :
         (bins,) of each bin.
         """
-        m, places = len(tangents), range(len(self.data.places))
+        m = len(tangents)
         moved, factor = tangents - self.tangents[:m], self.whitening.measured
         responses = self.responses[:m].copy()
         size = np.abs(self.tangents[:m]).max(axis=(1, 2, 3), initial=0.0)
@@ -125,12 +124,7 @@ class Anchor:
             responses[some] += more if factor is None else tangent_times(more, factor[self.nodes])
         A = self.A + np.moveaxis(self.response(mean_tangent - self.mean_tangent), 2, 0)
         weight = np.add.reduceat(share, self.first)
-        if not self.data.residual_is_noise:
-            return Jacobian(A, 2.0 * weight + 1j * self.phase_weight, self.second_order), responses
-        noise, per_psd = self.data.noise_shape * (self.nu * self.S)[:, None], self.whitening.weight / self.S[:, None]
-        at = self.nodes
-        bias = NoiseBias(A, noise=noise[places][:, at], per_psd=per_psd[:, at], kept=weight)
-        return bias, responses
+        return Jacobian(A, 2.0 * weight + 1j * self.phase_weight, self.second_order), responses
 
 
 def anchor_at(

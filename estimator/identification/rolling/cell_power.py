@@ -54,7 +54,7 @@ def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, 
     delta : (k,) increments, scaled.
     """
     data = anchor.data
-    if memory.n < MIN_BLOCKS or data.residual_is_noise:
+    if memory.n < MIN_BLOCKS:
         return None
     powers, bins = cell_power(anchor, memory, delta)
     share = np.add.reduceat(memory.kept, anchor.first)  # of the nodes

@@ -9,10 +9,8 @@ from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import refuse_without_resonance, stiffness_and_damping_held
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.batch.spectral import residual_is_noise
 from estimator.identification.batch.unknown_mass import with_masses_of_shaft
 from estimator.identification.machine.line_bands import with_lines_left_out
-from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import check_record, motion_record
@@ -44,8 +42,6 @@ def first_fit(model: Model, lines: Model, y: Array, rate_hz: float, block: int) 
     """
     model, masses, data = first_record(model, lines, y, rate_hz, block)
     point = fit_record(model, data)
-    if residual_is_noise(model, point):
-        point = fit_model(replace(point.data, residual_is_noise=True), list(point.placed), point)
     _check(point)
     return FirstFit(model, point, masses)
 

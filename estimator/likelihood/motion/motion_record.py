@@ -63,7 +63,6 @@ class MotionRecord:
     lines : narrow lines of the record in the band, whose bins are left out.
     held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
     free_inertia : by index of a place whose mass is fitted, (n,) m/s^2 band-limited acceleration.
-    residual_is_noise : whether the force is measured at every place and the residual force is noise of the sensors.
     background : structural modes at the bearing caps; x and v are the deflection of the bearing where a support moves.
     """
 
@@ -102,7 +101,6 @@ class MotionRecord:
     lines: tuple[LineBand, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
     free_inertia: Mapping[int, Series] = field(default_factory=dict)
-    residual_is_noise: bool = False
     background: Background | None = None
 
     @property

@@ -28,7 +28,6 @@ from estimator.likelihood.response.regressor_set import (
 )
 from estimator.likelihood.whitening.contour import continued_tangent, contour
 from estimator.likelihood.whitening.determinant import Jacobian, line_weights
-from estimator.likelihood.whitening.noise_bias import NoiseBias
 from estimator.likelihood.whitening.sensor_noise import SensorNoise, force_correlation, referred_noise
 from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.model.rig import Model
@@ -204,8 +203,7 @@ def point_at(
     whitened = whitening.whiten(made)
     G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)
-    noisy = data.residual_is_noise
-    jacobian = _noise_bias(whitening, A, nu, S) if noisy else _determinant(whitening, along_line(A), correction)
+    jacobian = _determinant(whitening, along_line(A), correction)
     prior = _prior_information(data, G, uses)
     result = _fit_near(G, jacobian, data.fold_blocks, prior)
     own_regressors = tuple(in_single_precision(t) for t in made)
@@ -224,13 +222,6 @@ def _determinant(whitening: Whitening, A: Complexes, correction: Complexes) -> J
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
     kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
     return Jacobian(A, line_weights(s, kept), correction * there[:, None])
-
-
-def _noise_bias(whitening: Whitening, A: Complexes, nu: Array, S: Array) -> Jacobian:
-    """What takes the place of the determinant where the residual force is noise. Arguments as of `point_at`."""
-    noise = whitening.data.noise_shape * (nu * S)[:, None]
-    kept = None if whitening.leakage is None else whitening.leakage.kept.mean(axis=0)
-    return NoiseBias(A, noise=noise, per_psd=whitening.weight / S[:, None], kept=kept)
 
 
 def _to_measured(data: MotionRecord, noise: SensorNoise, A: Complexes, s: Complexes) -> Complexes | None:

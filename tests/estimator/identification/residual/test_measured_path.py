@@ -101,23 +101,28 @@ def unseen(t: Array) -> Array:
 
 
 def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
-    """A machine runs beside the shaker. Read as noise of the force sensor it looked like a gain of 12 %, and c came out
-    11 % too small by `fit`."""
+    """A machine runs beside the shaker. Read as noise of the force sensor it would look like a gain of 12 %."""
     y = record(seed=3, unseen=unseen)
     whole = fit_all_effects(RIG, y, RATE)
     assert search(RIG, whole.point, y) == []
-    assert measured_path.has_unmeasured_force(RIG, whole.point)
+    assert measured_path.force_noise_ratio(RIG, whole.point) == {}
     found = spectral.fit_spectral(RIG, y, RATE).parameters
     for name, true in (("kL", KL), ("c", C)):
         p = found[f"{PLACE}.{name}"]
         assert abs((p.value or 0.0) - true) < 3 * (p.sd or 0.0)
 
 
-def test_as_much_noise_of_the_force_sensor_is_told_from_it() -> None:
+def test_as_much_noise_of_the_force_sensor_is_said_with_what_it_does_to_the_damping() -> None:
     y = record(seed=3, noise=(0.02, float(np.sqrt(S / 8 * RATE / 2))))
     point = fit_all_effects(RIG, y, RATE).point
     assert search(RIG, point, y) == []
-    assert not measured_path.has_unmeasured_force(RIG, point)
+    found = spectral.fit_spectral(RIG, y, RATE)
+    assert "force_noise" in [m.code for m in found.messages]
+    c = found.parameters[f"{PLACE}.c"]
+    assert c.value is not None
+    assert c.sd is not None
+    assert c.value / C - 1 == pytest.approx(1 / 8, abs=0.02)
+    assert c.sd / c.value == pytest.approx(1 / 8, abs=0.02)
 
 
 def test_a_gain_beside_a_force_that_is_not_measured() -> None:
