@@ -14,7 +14,6 @@ import pytest
 from reference_samples import boltzmann  # noqa: E402
 
 from estimator.identification.moments import fokker_planck  # noqa: E402
-from estimator.identification.moments.band_edge import BandEdge  # noqa: E402
 from estimator.identification.moments.plane_moments import PlaneMoments  # noqa: E402
 from estimator.identification.moments.planes import Cap, Plane, density_band, planes_of  # noqa: E402
 from estimator.model.rig import Channel, EffectUse, Model, Setting  # noqa: E402
@@ -28,14 +27,12 @@ NAMES = ("kL", "kNL", "lambda", "mu")
 Result = tuple[dict[str, float], np.ndarray]
 
 
-def score(
-    plane: Plane, x: np.ndarray, v: np.ndarray, form: str, a: np.ndarray | None = None, edge: BandEdge | None = None
-) -> Result:
-    moments = PlaneMoments(plane, form, edge)  # type: ignore[arg-type]
+def score(plane: Plane, x: np.ndarray, v: np.ndarray, form: str) -> Result:
+    moments = PlaneMoments(plane, form)  # type: ignore[arg-type]
     size = len(x) // 64
     for at in range(0, len(x), size):
         part = slice(at, at + size)
-        moments.add(x[part], v[part], None if a is None else a[part])
+        moments.add(x[part], v[part])
     return moments.values()
 
 
@@ -123,8 +120,7 @@ def test_records_of_the_rig() -> None:
         y = simulate(model, 25600.0, 20.0, seed, noise=0.02, full_scale=490.5)
         band = density_band(model)[0]
         motion = band_limit(y, ["acceleration"] * 4, 25600.0, band)
-        x, v, a = (z.T[motion.valid] for z in (motion.x, motion.v, motion.a))
-        edge = BandEdge.of(25600.0, band)
+        x, v = (z.T[motion.valid] for z in (motion.x, motion.v))
         for plane in planes_of(model):
             columns = [i for i, p in enumerate(model.places) if p.endswith(plane.direction)]
             kL = np.array([model.linear[cap.place]["kL"].value for cap in plane.caps], float)
@@ -135,7 +131,7 @@ def test_records_of_the_rig() -> None:
                         plane, x[:, columns], v[:, columns], "response", 60
                     )
                 else:
-                    values, cov = score(plane, x[:, columns], v[:, columns], method.split()[1], a[:, columns], edge)
+                    values, cov = score(plane, x[:, columns], v[:, columns], method.split()[1])
                 found = np.array(list(values.values()))
                 errors[method].append((found / truth - 1.0).reshape(2, 3))
                 covered[method].append(np.abs(found - truth) < 1.96 * np.sqrt(np.diag(cov)))

@@ -5,9 +5,8 @@ c = 1/sqrt(mu1 mu2), a = ks/m3, D a step (chain shaft):
 
     [S ln(p'/p), x1 D1, G1 D1, x2 D2, G2 D2] . (c, w1^2, w1^2 lambda1, w2^2, w2^2 lambda2) = -(a/2)(x1 - x2)(D1 - D2)
 
-Three forms:
-  literal   steps along the diagonal of the grid and forward differences, as printed. D1 = D2 makes the right side zero
-            in every row: only the null solution. It is built, and refused.
+As printed, with steps along the diagonal of the grid, D1 = D2 makes the right side zero in every row: only the null
+solution. Two forms have another one:
   midpoint  steps along the axes, x D and G D replaced by the exact differences of x^2/2 and x^4/4. The noisy logarithm
             is a regressor, which attenuates c.
   response  the logarithm on the left, weights 1/(1/n + 1/n'), cells under 30 counts dropped, the mean of the density
@@ -35,7 +34,7 @@ from .score_matching import density_motion, place_columns
 from .stationary import density_messages, softening_message
 from .synchronous import synchronous_message
 
-Form = Literal["literal", "midpoint", "response"]
+Form = Literal["midpoint", "response"]
 BOOTSTRAP_BLOCKS = 64  # of the record, drawn with replacement
 MIN_COUNTS = 30  # of a cell that is used
 GRID_HALF_WIDTH_RMS = 4.5  # of the displacement
@@ -101,32 +100,14 @@ def potentials(plane: Plane, x: Array) -> tuple[Array, Array]:
     return np.stack(terms, axis=-1), shaft
 
 
-def neighbouring_cells(shape: tuple[int, ...], diagonal: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Flat indices (from, to) of neighbouring cells: along each axis, or along the diagonal only."""
+def neighbouring_cells(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Flat indices (from, to) of neighbouring cells along each axis."""
     index = np.arange(int(np.prod(shape))).reshape(shape)
-    if diagonal:
-        here, there = index[(slice(None, -1),) * len(shape)], index[(slice(1, None),) * len(shape)]
-        return here.ravel(), there.ravel()
     pairs = []
     for axis in range(len(shape)):
         moved = np.moveaxis(index, axis, 0)
         pairs.append((moved[:-1].ravel(), moved[1:].ravel()))
     return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
-
-
-def _refuse_literal(plane: Plane, grid: Histogram) -> None:
-    """Raise DataError: eq. (36) as printed has no solution."""
-    here, there = neighbouring_cells(grid.shape, diagonal=True)
-    if len(plane.caps) == 2:
-        step = grid.centres[there] - grid.centres[here]
-        if np.allclose(step[:, 0], step[:, 1], rtol=1e-9):
-            raise DataError(
-                f"eq. (36) as printed is singular, direction {plane.direction}: on a uniform grid every diagonal step "
-                "has D1 = D2, the right-hand side is zero in all rows and the scale is lost; use midpoint or response"
-            )
-    raise DataError(
-        f"eq. (36) as printed needs two caps joined by the shaft; direction {plane.direction} has none: use response"
-    )
 
 
 def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
@@ -252,7 +233,7 @@ def fokker_planck_parameters(
         Band-limited displacement, m, without NaN.
     v : (n, caps) float64
         Band-limited velocity, m/s, without NaN.
-    form : {"response", "midpoint", "literal"}
+    form : {"response", "midpoint"}
         Form of the equation, see the text of the module.
     replicates : int
         Number of bootstrap samples.
@@ -269,14 +250,12 @@ def fokker_planck_parameters(
     Raises
     ------
     DataError
-        The form is literal, which is singular, or too few cells have enough counts.
+        Too few cells have enough counts.
 
     References
     ----------
     Tiwari and Vyas, J. Sound Vib. 203 (1997) 389, eq. (36).
     """
-    if form == "literal":
-        _refuse_literal(plane, histogram(x, v))
     if len(plane.caps) == 2 and not plane.scale_from_shaft:
         return _uncoupled_parameters(plane, x, v, form, replicates, seed)
     grid = histogram(x, v)
@@ -318,10 +297,10 @@ def _uncoupled_parameters(
 def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:
     """Parameters by eq. (36) from a record y (n, channels), SI, NaN where a sample is missing.
 
-    Raises DataError if the form is literal, too few rows are valid, a channel is constant or no resonance is in the
+    Raises DataError if too few rows are valid, a channel is constant or no resonance is in the
     band.
     """
-    x, v, _, valid = density_motion(model, y, rate_hz)
+    x, v, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[Message] = []
     for plane in planes_of(model):

@@ -13,6 +13,7 @@ a function of x at the same instant:
 The two agree if x and v are independent, as exp(-H/T) says. On a record, the velocity form does not suffer from the
 slow wander of the amplitude, needs neither equal temperatures at the two caps nor a Gaussian velocity, and has a
 twentieth of the scatter (docs/paper.md); on independent samples of the density the density form is the better.
+The band limit leaves a few thousandths of E[x F] out: kL is off by as much, and its standard deviation contains it.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.results import Parameter
 
-from .band_edge import BandEdge
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
 
 Form = Literal["velocity", "density"]
+EDGE_SD_REL = 3e-3  # of kL: what the band limit leaves out of E[x F], over k E[x^2], on rigs with 8 kHz of band
 
 
 class PlaneMoments:
     """Stiffness of one direction from moments of displacement and velocity, with old blocks forgotten.
 
     The moments, per cap with powers q: x^(q_i + q_j) (upper triangle), q x^(q-1) v^2, q x^(q-1),
-    x^q (a x + b x_other), and the squared acceleration; then the squared gradient of the shaft term.
+    x^q (a x + b x_other); then the squared gradient of the shaft term.
 
     Parameters
     ----------
@@ -43,28 +44,25 @@ class PlaneMoments:
         The caps and the shaft of the direction.
     form : {"velocity", "density"}
         Estimating equation, see the text of the module. "velocity" is for records, "density" for independent samples.
-    edge : BandEdge, optional
-        Correction for the band that x, v, a were limited to. None: they have no band limit.
     """
 
-    def __init__(self, plane: Plane, form: Form = "velocity", edge: BandEdge | None = None) -> None:
+    def __init__(self, plane: Plane, form: Form = "velocity") -> None:
         self.plane = plane
         self.form = form
-        self.edge = edge
         self._joint = plane.scale_from_shaft and not plane.masses_known
         self._slices: list[slice] = []
         self._upper = [np.triu_indices(len(cap.powers)) for cap in plane.caps]
         at = 0
         for cap in plane.caps:
             p = len(cap.powers)
-            width = p * (p + 1) // 2 + 3 * p + 1
+            width = p * (p + 1) // 2 + 3 * p
             self._slices.append(slice(at, at + width))
             at += width
         self.moments = BlockMoments(at + 1)
         self.names = plane.names()
 
-    def sums(self, x: Array, v: Array, a: Array | None = None) -> Array:
-        """(K,) moments summed over the rows of displacement, velocity, acceleration, (n, caps) each, SI."""
+    def sums(self, x: Array, v: Array) -> Array:
+        """(K,) moments summed over the rows of displacement and velocity, (n, caps) each, SI."""
         plane = self.plane
         xs = np.ascontiguousarray(x.T)
         shaft = plane.a * xs
@@ -73,31 +71,30 @@ class PlaneMoments:
         out: list[Array] = []
         shaft_square = 0.0
         for i, (cap, (first, second)) in enumerate(zip(plane.caps, self._upper, strict=True)):
-            # 1, x, x^2 ... , v^2, shaft, a: every column is a product of two of them, so one matrix product sums all
+            # 1, x, x^2 ... , v^2, shaft: every column is a product of two of them, so one matrix product sums all
             top = cap.powers[-1]
-            z = np.empty((top + 4, len(x)))
+            z = np.empty((top + 3, len(x)))
             z[0] = 1.0
             for q in range(1, top + 1):
                 np.multiply(z[q - 1], xs[i], out=z[q])  # x ** 3 costs fifty times as much
             np.multiply(v[:, i], v[:, i], out=z[top + 1])
             z[top + 2] = shaft[i]
-            z[top + 3] = 0.0 if a is None else a[:, i]
             product = z @ z.T
             f = np.array(cap.powers)
             weighted, plain = f * product[f - 1, top + 1], f * product[f - 1, 0]
-            out += [product[f[first], f[second]], weighted, plain, product[f, top + 2], product[-1:, -1]]
+            out += [product[f[first], f[second]], weighted, plain, product[f, top + 2]]
             shaft_square += product[top + 2, top + 2]
         return np.concatenate([*out, [shaft_square]])
 
-    def add(self, x: Array, v: Array, a: Array | None = None, forget: float = 1.0) -> None:
-        """Take one block of displacement, velocity, acceleration, (n, caps) each, SI; rows with NaN are left out.
+    def add(self, x: Array, v: Array, forget: float = 1.0) -> None:
+        """Take one block of displacement and velocity, (n, caps) each, SI; rows with NaN are left out.
 
-        forget : factor on the weights of all older blocks. a : needed with a band edge.
+        forget : factor on the weights of all older blocks.
         """
         keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
         if not keep.all():
-            x, v, a = x[keep], v[keep], None if a is None else a[keep]
-        self.moments.add(self.sums(x, v, a), len(x), forget)
+            x, v = x[keep], v[keep]
+        self.moments.add(self.sums(x, v), len(x), forget)
 
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by full name, each with its standard deviation or the reason why it is not identifiable."""
@@ -107,7 +104,8 @@ class PlaneMoments:
             values, covariance = self.values()
         except np.linalg.LinAlgError:
             return self.plane.undetermined("the displacement takes too few values to tell x from its powers")
-        sds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        edge = np.array([EDGE_SD_REL * values[n] if n.endswith(".kL") else 0.0 for n in self.names])
+        sds = np.sqrt(np.maximum(np.diag(covariance), 0.0) + edge**2)
         return self.plane.judged({n: (values[n], float(sd)) for n, sd in zip(self.names, sds, strict=True)})
 
     def values(self) -> tuple[dict[str, float], Array]:
@@ -126,7 +124,7 @@ class PlaneMoments:
     def _split(self, u: Complexes, index: int) -> tuple[Complexes, ...]:
         """E[f f'] (..., p, p), E[f' v^2] and E[f shaft] (..., p), E[v^2] (...) of one cap.
 
-        u : (..., K), the mean series, for unit mass and all of the band.
+        u : (..., K), the mean series, for unit mass.
         """
         cap = self.plane.caps[index]
         p = len(cap.powers)
@@ -137,12 +135,6 @@ class PlaneMoments:
         weighted, plain, shaft = (part[..., len(first) + k * p : len(first) + (k + 1) * p] for k in range(3))
         square = weighted[..., 0]
         right = weighted if self.form == "velocity" else plain * square[..., None]
-        if self.edge is not None:
-            mass = 1.0 if cap.mass is None else cap.mass
-            stiffness = _solve_scaled(gram, mass * right, _scale(gram, cap))[..., 0]  # of bearing and shaft together
-            # for Gaussian x, E[f F] = E[f'] E[x F]
-            work = self.edge.work(stiffness, mass, gram[..., 0, 0], square, part[..., -1])
-            right = right + plain * (work / mass)[..., None]
         return gram, right, shaft, square
 
     def _solve(self, u: Complexes) -> Complexes:

@@ -21,7 +21,6 @@ from estimator.results import Estimate, Fit, Message, Parameter
 from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
 
-from .band_edge import BandEdge
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes_of
 from .stationary import check_resonance, density_messages, softening_message
@@ -82,11 +81,10 @@ class RollingScoreMatching:
         kinds = [model.channels[i].kind for i in self._columns]
         undone = anti_alias_response(model, rate_hz)
         self._stream = BandLimit(kinds, rate_hz, density_band(model)[0], undone=undone)
-        edge = BandEdge.of(rate_hz, density_band(model)[0])
-        self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes_of(model)]
+        self._planes = [(PlaneMoments(p), place_columns(model, p.direction)) for p in planes_of(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
-        self._held = np.empty((3, len(kinds), 0))
+        self._held = np.empty((2, len(kinds), 0))
         self._recent: deque[Array] = deque(maxlen=max(1, round(RESONANCE_CHECK_S * rate_hz / self._rows)))
         self._missing = "warming up"  # status while no resonance has been found; empty afterwards
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
@@ -98,15 +96,15 @@ class RollingScoreMatching:
         motion = self._stream.push(block[:, self._columns])
         if not motion.rows:
             return
-        fresh = np.stack([motion.x, motion.v, motion.a])
+        fresh = np.stack([motion.x, motion.v])
         if not motion.valid.all():
             fresh[:, :, ~motion.valid] = np.nan
         self._held = np.concatenate([self._held, fresh], axis=2)
         used = 0
         while self._held.shape[2] - used >= self._rows:
-            x, v, a = self._motion(self._held[:, :, used : used + self._rows])
+            x, v = self._motion(self._held[:, :, used : used + self._rows])
             for moments, columns in self._planes:
-                moments.add(x[columns].T, v[columns].T, a[columns].T, self._forget)
+                moments.add(x[columns].T, v[columns].T, self._forget)
             if self._missing:
                 self._look_for_resonance(v)
             used += self._rows
@@ -131,7 +129,7 @@ class RollingScoreMatching:
             self._missing = str(e)
 
     def _motion(self, block: Array) -> Array:
-        """x, v, a of one block, (3, places, rows), without the shaft orders of the model's effects."""
+        """x, v of one block, (2, places, rows), without the shaft orders of the model's effects."""
         if not self._orders or self.model.speed_rpm is None:
             return block
         flat = block.reshape(-1, block.shape[-1]).T
@@ -172,18 +170,17 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     form : estimating equation: "velocity" for records, "density" for independent samples.
     Raises DataError if too few rows are valid, a channel does not move, or no resonance is in the band.
     """
-    x, v, a, valid = density_motion(model, y, rate_hz)
+    x, v, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[Message] = []
     size = max(1, int(valid.sum()) // FIT_BLOCKS)
-    edge = BandEdge.of(rate_hz, density_band(model)[0])
     for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
-        here, speed, shaken = (z[valid][:, columns] for z in (x, v, a))
-        moments = PlaneMoments(plane, form, edge)
+        here, speed = (z[valid][:, columns] for z in (x, v))
+        moments = PlaneMoments(plane, form)
         for first in range(0, len(here), size):
             part = slice(first, first + size)
-            moments.add(here[part], speed[part], shaken[part])
+            moments.add(here[part], speed[part])
         found |= moments.parameters()
         notes += density_messages(plane, here, speed) + softening_message(plane, found, speed)
     for k, place in enumerate(model.places):
@@ -201,8 +198,8 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     )
 
 
-def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Band-limited displacement, velocity, acceleration, (n, places) each, SI, and (n,) which rows are valid.
+def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Band-limited displacement and velocity, (n, places) each, SI, and (n,) which rows are valid.
 
     Raises DataError if the record does not fit the model, a channel does not move, too few rows are valid, or no
     resonance is in the band.
@@ -225,15 +222,15 @@ def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array
             f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {MIN_ROWS} needed: "
             "record longer, or widen the band at its low end"
         )
-    parts = np.concatenate([motion.x, motion.v, motion.a]).T
+    parts = np.concatenate([motion.x, motion.v]).T
     orders = synchronous_orders(model)
     if orders and model.speed_rpm is not None:
         parts = np.where(motion.valid[:, None], parts, np.nan)
         parts = parts - synchronous_lines(parts, rate_hz, model.speed_rpm / 60.0, orders)
-    x, v, a = np.split(parts, 3, axis=1)
+    x, v = np.split(parts, 2, axis=1)
     for k, i in enumerate(columns):
         check_resonance(v[motion.valid, k], rate_hz, band, model.channels[i].name)
-    return x, v, a, motion.valid
+    return x, v, motion.valid
 
 
 def place_columns(model: Model, direction: str) -> list[int]:

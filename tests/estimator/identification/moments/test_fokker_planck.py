@@ -9,7 +9,6 @@ from estimator.identification.moments import fokker_planck
 from estimator.identification.moments.fokker_planck import (
     fokker_planck_parameters,
     histogram,
-    neighbouring_cells,
     potentials,
 )
 from estimator.identification.moments.planes import Cap, Plane
@@ -50,25 +49,6 @@ def test_midpoint_form_is_attenuated(strong: tuple[np.ndarray, np.ndarray]) -> N
     """The printed unknowns make the noisy logarithm a regressor: the mass ratio comes out too large."""
     values, _ = fokker_planck_parameters(strong_shaft(), *strong, form="midpoint", replicates=2)
     assert 2.2 < M3 / values["bearing1.x.m"] < 3.2
-
-
-def test_literal_form_is_refused_with_its_reason(strong: tuple[np.ndarray, np.ndarray]) -> None:
-    with pytest.raises(DataError, match="D1 = D2"):
-        fokker_planck_parameters(strong_shaft(), *strong, form="literal")
-
-
-def test_literal_rows_are_indeed_singular() -> None:
-    """Every right-hand side on the diagonal is zero, and axis steps are what cures it."""
-    x, v = samples(5000, 1)
-    grid = histogram(x, v)
-    plane = strong_shaft()
-    _, shaft = potentials(plane, grid.centres)
-    here, there = neighbouring_cells(grid.shape, diagonal=True)
-    d = grid.centres[there] - grid.centres[here]
-    right = (grid.centres[here, 0] - grid.centres[here, 1]) * (d[:, 0] - d[:, 1])
-    assert np.max(np.abs(right)) < 1e-12 * np.max(np.abs(shaft))
-    here, there = neighbouring_cells(grid.shape)
-    assert np.ptp(shaft[there] - shaft[here]) > 0.0
 
 
 def test_midpoint_differences_are_exact() -> None:
