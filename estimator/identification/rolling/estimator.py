@@ -25,7 +25,7 @@ from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
 from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_terms
 from estimator.likelihood.motion.located_law import located_laws
-from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
 from estimator.model.rig import Channel, Model
 from estimator.results import BACKGROUND_KEY, SPIKES_KEY, WARM_UP_NEEDED_S_KEY, WARM_UP_S_KEY, Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion, half_length
@@ -35,7 +35,7 @@ from estimator.signals.shaft_angle import ShaftAngle
 from .anchor import anchor_at
 from .background import BackgroundSearch, Run, in_line
 from .follower import Follower
-from .piece import in_time_folds, joined_motion, piece_record
+from .piece import joined_motion, piece_record
 from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
 from .start import START_BLOCKS, FirstFit, first_fit
@@ -383,7 +383,7 @@ class RollingEstimator:
         motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
         data = self._record(follower, motion, self._margin)
         if data is not None and data.blocks >= START_BLOCKS // 2:
-            data = in_time_folds(data)
+            data = replace(data, fold=time_folds(data.blocks))
             follower.renew_anchor(data)
             if self._margin:
                 self._calm = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)

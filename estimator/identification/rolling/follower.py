@@ -169,10 +169,8 @@ class Follower:
         """(places,) recent power of the excitation over that of the anchor, and its standard deviation."""
         m = self.fast
         mean = m.level / m.n
-        if self.anchor.data.measured_force:
-            return mean, mean * np.sqrt(m.n2 / m.n**2 / (m.kept.sum() / m.n))
         scatter = np.maximum(m.level2 / m.n - mean**2, 0.0)
-        least = mean**2 / (m.kept.sum() / m.n)
+        least = mean**2 / (m.kept.sum() / m.n)  # of white noise
         return mean, np.sqrt(np.maximum(scatter, least) * m.n2) / m.n
 
     def _has_changed(self) -> bool:

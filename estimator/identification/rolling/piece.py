@@ -13,7 +13,7 @@ from estimator.arrays import Array, Series
 from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.located_law import law_along_record
-from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import bring_in_background, inertia_and_shaft
 from estimator.likelihood.response.regressor_set import linear_regressors, regressors
 from estimator.model.rig import Model
@@ -77,12 +77,8 @@ def piece_record(
     )  # fmt: skip
 
 
-def in_time_folds(data: MotionRecord) -> MotionRecord:
-    """The record of some seconds with the time folds of a fit."""
-    return replace(data, fold=time_folds(data.blocks))
-
-
-_Term = tuple[int, NDArray[np.floating], float]  # number, series and value of a regressor
+_Term = tuple[int, Series, float]  # number, series and value of a regressor
+_Forces = tuple[list[Series], list[list[_Term]]]  # by place: what no increment changes, and the regressors
 
 
 def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) -> Piece:
@@ -94,7 +90,7 @@ def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) 
     tangents, mean_tangent = np.zeros((K, P, P, 2)), np.zeros((P, P, 2))
     known, terms = _forces(anchor, data, watched, tangents, mean_tangent)
     numbers = [[k for k, _, _ in own] for own in terms]
-    spectra = [_spectra(anchor, i, known[i], own, data.blocks) for i, own in enumerate(terms)]
+    spectra = [_spectra(anchor, i, known[i], own) for i, own in enumerate(terms)]
     power = np.array([_power(Z, own, delta) for Z, own in zip(spectra, numbers, strict=True)]) / data.blocks
     mask = None if data.measured_force else line_mask(power, data.blocks)
     kept = anchor.kept if mask is None else anchor.kept * mask
@@ -114,13 +110,11 @@ def piece_sums(anchor: Anchor, data: MotionRecord, delta: Array, watched: bool) 
                  kept=kept.mean(axis=0), level=level)  # fmt: skip
 
 
-def _forces(
-    anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, mean_tangent: Array
-) -> tuple[list[NDArray[np.floating]], list[list[_Term]]]:
+def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, mean_tangent: Array) -> _Forces:
     """The forces at every place: what no increment changes, and the regressors. tangents, mean_tangent : filled with
     those of the regressors and of all forces."""
     numbers, lin, value_of = {name: k for k, name in enumerate(anchor.names)}, anchor.lin, anchor.value_of
-    known: list[NDArray[np.floating]] = [*data.known]
+    known: list[Series] = [*data.known]
     terms: list[list[_Term]] = [[] for _ in known]
     linear = [t for i in range(len(known)) for t in linear_regressors(data, i, lin[i])]
     made = [(t, 0.0 if t.mass_at is not None else value_of[t.name]) for t in linear]  # m a is known
@@ -152,11 +146,9 @@ def _forces(
     return known, terms
 
 
-def _spectra(
-    anchor: Anchor, i: int, known: NDArray[np.floating], terms: Sequence[_Term], blocks: int
-) -> NDArray[np.float32]:  # fmt: skip
+def _spectra(anchor: Anchor, i: int, known: Series, terms: Sequence[_Term]) -> NDArray[np.float32]:
     """(1 + regressors, blocks, 2 bins) whitened spectra at place i, of the residual force first."""
-    out = np.empty((1 + len(terms), blocks, 2 * anchor.bins), np.float32)
+    out = np.empty((1 + len(terms), known.size // anchor.data.block, 2 * anchor.bins), np.float32)
     anchor.whitening.spectrum(i, known, out=out[0])
     for Z, (k, series, value) in zip(out[1:], terms, strict=True):
         anchor.whitening.spectrum(i, series, anchor.scales[k], Z)

@@ -99,7 +99,7 @@ def rolling_scope(model: Model) -> RollingScope:
         replace(model, effects=tuple(kept)),
         not_estimated,
         lacking,
-        frozenset(key for u in even for key in u.parameters if not shown.intersection((key, *_directions(key)))),
+        frozenset(key for u in even for key in u.parameters if not any(key in (c, c.split(".")[0]) for c in shown)),
     )
 
 
@@ -116,11 +116,6 @@ def _biased(use: EffectUse, effect: Effect, model: Model, key: str, missing: lis
     if effect.kind == "memory" or (effect.spectral_factor is not None and effect.name not in FORCE_SHAPES):
         return dict.fromkeys(own, f"beside {use.name}: {FIT_HINT}")
     return {}
-
-
-def _directions(node: str) -> tuple[str, ...]:
-    """The places of a node such as "bearing1"."""
-    return tuple(f"{node}.{d}" for d in CAP_DIRECTIONS)
 
 
 def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:
