@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.memory_loop import memory_array
 from estimator.effects.engine.page import markdown
 from estimator.effects.engine.strength import Size, defaults, rms, search_range, strengths
 from estimator.model.effect import Effect, EffectParameter

@@ -10,15 +10,12 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import cfunc, njit, types
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from estimator.errors import ModelError
-from estimator.model.effect import Effect
 
 F = types.float64
 P = types.CPointer(F)
@@ -115,68 +112,3 @@ def rise(start, half, dt, alone):  # type: ignore[no-untyped-def]
     if not alone or bend * start >= 0.0:
         return dt * half
     return dt * start**3 / (start * start - start * bend + bend * bend / 3.0)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _memory_array(rates, force, p, lin, x, v, dt, Z, out):  # type: ignore[no-untyped-def]
-    """The force out (n,) and the states Z (n, states), from those in Z[0], at the mean velocity of every step.
-
-    With the velocity at its ends instead a friction at 6 kHz is 1 % too weak on the finer grid of law_smoothing.py.
-    """
-    states = Z.shape[1]
-    row = np.uintp(8 * states)
-    half, d0, d1 = np.zeros(states), np.zeros(states), np.zeros(states)
-    at, at_half = np.uintp(Z.ctypes.data), np.uintp(half.ctypes.data)
-    to0, to1 = np.uintp(d0.ctypes.data), np.uintp(d1.ctypes.data)
-    p_at, lin_at = np.uintp(p.ctypes.data), np.uintp(lin.ctypes.data)
-    out[0] = call_memory_at(force, at, x[0], v[0], p_at, lin_at)
-    for i in range(x.size - 1):
-        mid, speed = 0.5 * (x[i] + x[i + 1]), (x[i + 1] - x[i]) / dt
-        call_rates_at(rates, at, mid, speed, p_at, lin_at, to0)
-        for j in range(states):
-            half[j] = Z[i, j] + 0.5 * dt * d0[j]
-        call_rates_at(rates, at_half, mid, speed, p_at, lin_at, to1)
-        for j in range(states):
-            Z[i + 1, j] = Z[i, j] + rise(d0[j], d1[j], dt, states == 1)
-        at += row
-        out[i + 1] = call_memory_at(force, at, x[i + 1], v[i + 1], p_at, lin_at)
-
-
-def memory_array(
-    effect: Effect,
-    p: NDArray[np.float64],
-    lin: NDArray[np.float64],
-    x: NDArray[np.floating[Any]],
-    v: NDArray[np.floating[Any]],
-    rate_hz: float,
-) -> NDArray[np.float64]:
-    """(n,) N, the force of a memory effect along displacement and velocity, its states from rest.
-
-    lin : (3,) m, kL, c of the place.
-    """
-    return remembered(effect, p, lin, x, v, rate_hz)[0]
-
-
-def remembered(
-    effect: Effect,
-    p: NDArray[np.float64],
-    lin: NDArray[np.float64],
-    x: NDArray[np.floating[Any]],
-    v: NDArray[np.floating[Any]],
-    rate_hz: float,
-    start: NDArray[np.float64] | float = 0.0,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) N and (n, states): the force of a memory effect and its states, from given states at the start (states,)."""
-    laws = _laws(effect)
-    x, v, p, lin = (np.ascontiguousarray(z, dtype=np.float64) for z in (x, v, p, lin))
-    out, states = np.empty_like(x), np.empty((x.size, effect.states))
-    if x.size:
-        states[0] = start
-        _memory_array(*laws, p, lin, x, v, 1.0 / rate_hz, states, out)
-    return out, states
-
-
-def _laws(effect: Effect) -> tuple[np.uint64, np.uint64]:
-    if effect.rates is None or effect.memory_force is None:
-        raise ValueError(f"{effect.name}: no memory law (kind {effect.kind})")
-    return np.uint64(address(effect.rates, "rates")), np.uint64(address(effect.memory_force, "memory"))

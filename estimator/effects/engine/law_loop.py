@@ -45,7 +45,7 @@ LOOP_POINTER_TYPE = ctypes.CFUNCTYPE(
 @cache
 def compiled(law: Callable[..., float]) -> Callable[..., float]:
     """The loop of a law. Raises ModelError for one that numba cannot compile."""
-    version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
+    version = source_version(law)  # belongs to what is kept on disk: a changed law is compiled anew
     # the bits are those of the law called for one sample; a long law called as a function would keep all from being
     # vectorised
     strict = {"error_model": "numpy", "fastmath": False, "forceinline": True}
@@ -69,7 +69,7 @@ def compiled(law: Callable[..., float]) -> Callable[..., float]:
     )
 
 
-def _version(law: Callable[..., float]) -> int:
+def source_version(law: Callable[..., object]) -> int:
     """Of the source of a law; -1 of one that no module holds, as of an expression."""
     module = sys.modules.get(law.__module__)
     try:

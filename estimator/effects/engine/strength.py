@@ -13,8 +13,8 @@ from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import assemble, linear_covariance
 
-from .compiled import memory_array
 from .law_loop import force_array
+from .memory_loop import memory_array
 
 RMS_STATE_COUNT = 4096  # Gaussian states that the rms of a law is taken over
 

@@ -35,8 +35,6 @@ VISIBLE_POWER_RATIO = 8.0  # power over noise of a visible harmonic
 UNMISSABLE_POWER_RATIO = 25.0  # power over noise of a harmonic that cannot be overlooked
 NEIGHBOUR_BINS = np.arange(4, 16)  # on either side of a line, for its noise
 RATIO_TOLERANCE_REL = 1e-3  # of the ratio of two fundamentals from a whole number
-MIN_COMB_LINES = 5  # lines at multiples of one frequency that are no chance
-MIN_COMB_SPACING_BINS = 20.0  # between these lines
 GRID_PIECE_SIZE = 1 << 16  # frequencies that are looked at together: what is made for them stays small
 MISSING_POWER_REL = 0.25  # of the power of its neighbours, below which a harmonic is missing
 MAX_MISSING_SHARE = 0.2  # of the harmonics of a train
@@ -79,24 +77,6 @@ def find_impact_train(
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
         best, fundamental, won = _defect_finding(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
     return best, fundamental
-
-
-def common_fundamental(lines: Sequence[float], seconds: float) -> float:
-    """Fundamental (Hz) of which at least 80 % of five or more lines are multiples, within one bin; 0 if there is none.
-
-    lines : Hz. seconds : of the record.
-    """
-    best, most = 0.0, max(MIN_COMB_LINES, (1.0 - MAX_MISSING_SHARE) * len(lines))
-    rising = sorted(lines)
-    for candidate in {round(hz / q, 3) for hz in rising[:4] for q in (1, 2, 3, 4)}:
-        hz, count = candidate, 0
-        for line in rising if candidate * seconds > MIN_COMB_SPACING_BINS else ():
-            k = round(line / hz)
-            if k and abs(line - k * hz) < 1.0 / seconds:
-                hz, count = line / k, count + 1  # the k-th tells it k times as well
-        if count >= most and (count > most or hz > best):
-            best, most = hz, count
-    return best
 
 
 def _clarity_ratio(hz: float, other: float) -> float:

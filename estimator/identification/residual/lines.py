@@ -13,7 +13,6 @@ frequency. An imbalance and a bow load the caps alike at every speed; the imbala
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,18 +72,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
             continue
         if (found := _line_finding(model, point, s, hz, rotation, threshold)) is not None:
             out.append(found)
-    return out if rotation > 0.0 else _noting_common_fundamental(out, s)
-
-
-def _noting_common_fundamental(lines: list[Finding], s: LineSpectrum) -> list[Finding]:
-    """The lines of a shaft of unknown speed, the first with a note on the frequency that they are multiples of."""
-    hz = impact_train.common_fundamental(
-        [next(iter(one.settings.values()))["frequency"].value or 0.0 for one in lines], s.seconds
-    )
-    if hz == 0.0:
-        return lines
-    said = f"multiples of {hz:.3f} Hz, as of impacts or mains hum: give speed_rpm to search for an impact train"
-    return [replace(lines[0], note="; ".join(filter(None, (lines[0].note, said)))), *lines[1:]]
+    return out
 
 
 def _near_disc_resonance(model: Model, hz: float) -> bool:

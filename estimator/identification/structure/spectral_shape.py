@@ -47,7 +47,6 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     # shapes taken from the measured spectra, which the model does not have
     seen = data.excitation_shape / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
-    white: list[tuple[int, SpectralCells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
         if data.measured_force_psd[i] > 0.0:  # the residual of a measured force is noise
             shaped.add(i)
@@ -62,12 +61,10 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         depth = float(np.sqrt(max(float(off), 0.0)))
         least = MIN_UNKNOWN_DEPTH_RMS if data.background is not None else MIN_DEPTH_RMS
         if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < least:
-            white.append((i, c, level, u, scale))
             continue
         shaped.add(i)
         own = _shape_findings(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
         out += own or ([_unknown_finding(point, i, c, u, level)] if depth > MIN_UNKNOWN_DEPTH_RMS else [])
-    out += _same_cause_elsewhere(point, out, white, taken, shaped)
     out += find_noisy_sensors(model, point, noise, shaped)
     return out + _find_shared_force(model, point)
 
@@ -79,32 +76,6 @@ def spectra_are_explained(model: Model, point: WorkingPoint) -> bool:
     full = [f for f in found if f.explained_share > EXPLAINED_SHARE]
     explained = [{p for f in full if f.effect == effect for p in f.power_N2} for effect in {f.effect for f in full}]
     return not shaped or any(own >= shaped for own in explained)
-
-
-def _same_cause_elsewhere(
-    point: WorkingPoint,
-    found: list[Finding],
-    white: list[tuple[int, SpectralCells, float, Array, Array]],
-    taken: set[tuple[str, str]],
-    shaped: set[int],
-) -> list[Finding]:
-    """Findings of a pedestal at locations whose own spectra are not significant, as bearings are alike.
-
-    white : locations without a significant shape: index, cells, log-likelihood, numbers and scales of the base model.
-    taken : (effect, location) in the model. shaped : indices of locations with a shape; new ones are added.
-    """
-    best = max((s for s in found if s.effect == PEDESTAL.name), key=lambda s: s.gain_nats, default=None)
-    if best is None or best.gain_nats < max(s.gain_nats for s in found):
-        return []
-    out = []
-    for i, c, level, u, scale in white:
-        place = point.data.places[i]
-        others = {shape.effect for shape in spectral_causes(point, i)} - {best.effect}
-        have = {e for e, p in taken if p in (place, place.split(".")[0])}
-        own = [s for s in _shape_findings(point, i, c, u, level, scale, others | have) if s.p_value < MAX_SHAPE_P_VALUE]
-        shaped.update(i for s in own)
-        out += own
-    return out
 
 
 def _shape_findings(

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array, Complexes
-from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.memory_loop import memory_array
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.effect import Effect

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import csd, welch
 
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.memory_loop import memory_array
 from estimator.effects.places import orders
 from estimator.model.rig import BearingGeometry, Model
 

@@ -65,27 +65,6 @@ def test_a_weak_train_is_not_one_of_a_third_of_its_order(rig: Model, order: floa
     assert found(rig, y)["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, rel=1e-3)
 
 
-def test_without_a_speed_strikes_are_lines_of_one_fundamental(rig: Model) -> None:
-    values = {"strike": Setting(3.0), "order": Setting(4.6527), "angle": Setting(1.0), "width": Setting(0.06)}
-    truth = replace(rig, effects=(*rig.effects, EffectUse("local_defect", {"bearing1.x": values})))
-    y = simulate(truth, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
-    still = replace(rig, speed_rpm=None)
-    lines = line_forces.find_lines(still, fit_all_effects(still, y, RATE).point, y)
-    assert {line.effect for line in lines} == {"line"}
-    hz = 4.6527 * (rig.speed_rpm or 0.0) / 60.0
-    said = [line.note.split("multiples of ")[1] for line in lines if "multiples of" in line.note]
-    assert [float(one.split()[0]) for one in said] == [pytest.approx(hz, rel=1e-4)]
-
-
-def test_lines_of_several_causes_have_no_fundamental() -> None:
-    rng = np.random.default_rng(1)
-    harmonics = 59.303 * np.array([1, 2, 4, 3, 8, 10, 7]) + rng.uniform(-0.005, 0.005, 7)
-    assert strikes.common_fundamental([*harmonics, 711.0], 60.0) == pytest.approx(59.303, abs=0.002)
-    assert strikes.common_fundamental([50.0, 100.0, 150.0, 200.0], 60.0) == 0.0
-    drawn = (list(rng.uniform(20.0, 2000.0, n)) for n in (5, 8, 12) for _ in range(300))
-    assert not any(strikes.common_fundamental(lines, 60.0) for lines in drawn)
-
-
 def test_odd_harmonics_of_the_mains_are_lines_and_no_train(rig: Model) -> None:
     y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
     t = np.arange(len(y)) / RATE

@@ -9,10 +9,10 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.compiled import memory_array
+from estimator.effects.engine.memory_loop import force_along_path, memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response
+from estimator.likelihood.motion.memory_law import memory_force_and_response
 from estimator.likelihood.path.working_point import point_on_part
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
