@@ -77,6 +77,19 @@ def test_the_tutorials_run_as_they_are_printed_and_the_error_falls(tmp_path: Pat
     assert any("verdict: clearance" in out for out in said)
 
 
+@pytest.mark.slow
+def test_the_rotor_of_the_manual_is_fitted_compared_and_diagnosed(tmp_path: Path) -> None:
+    said = ""
+    for line in re.findall(r"^    (rotorscope .*)$", (ROOT / "docs" / "rotor-models.md").read_text("utf-8"), re.M):
+        if not line.startswith("rotorscope rotor "):  # needs ROSS: tests/daq/commands/test_ross_model.py
+            command = [sys.executable, "-m", "daq", *line.split()[1:]]
+            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, (line, done.stderr)
+            said += done.stdout
+    assert "verdict: cubic" in said
+    assert "the model is adequate" in said
+
+
 def test_architecture_is_one_page() -> None:
     assert len((ROOT / "ARCHITECTURE.md").read_text("utf-8").splitlines()) <= ARCHITECTURE_LINES
 

@@ -85,7 +85,8 @@ def of_validation(
 ) -> list[Problem]:
     """A pydantic error as problems, in our words. inside : where in `table` the validated part is."""
     errors = error.errors(include_url=False)
-    return [Problem(prefix + tuple(e["loc"]), _text(e, table, inside + tuple(e["loc"]))) for e in errors]
+    places = [tuple(part for part in e["loc"] if part != "[key]") for e in errors]
+    return [Problem(prefix + at, _text(e, table, inside + at)) for e, at in zip(errors, places, strict=True)]
 
 
 def _text(e: Any, table: type[BaseModel], loc: Path) -> str:

@@ -34,7 +34,7 @@ from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
 from .rig_file import AcquisitionTable, ChannelTable, EstimatorTable, LinkTable, MachineTable, RigFile
 from .rig_table import RigTable, name_problems
-from .rotor_table import RotorError, attachment, read_matrices, rotor_of_table
+from .rotor_table import RotorError, attachment, check_directions, read_matrices, rotor_of_table
 from .units import SI_UNIT, factor
 
 MAX_CHARACTERS, MAX_DOTS = 200_000, 100  # characters of a file; dots in a line
@@ -77,6 +77,8 @@ class Rig:
                 model, problems = _model(file, modules, path, attached)
             except ValidationError as error:
                 problems = of_validation(error, RigFile)
+            except RotorError as error:
+                problems = [Problem(("rig", "rotor", error.key), str(error))]
         if problems:
             lines = line_numbers(text)
             problems.sort(key=lambda problem: problem.line_number(lines))
@@ -297,9 +299,11 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0
-        bearings = parts["rig"].names if "rig" in parts else BEARING_NODES
+        nodes = tuple(dict.fromkeys(c.node for c in channels if c.node))
+        bearings = parts["rig"].names if "rig" in parts else nodes or BEARING_NODES
         known = _channels(channels) if motions else tuple(Channel(f"{n}{d}", n, d) for n in bearings for d in "xy")
-        model = Model(known, (1.0, 2.0), shaft, speed_rpm=rpm, bearings=bearings)
+        rotor = None if "rig" not in parts or parts["rig"].rotor is None else parts["rig"].rotor.names
+        model = Model(known, (1.0, 2.0), shaft, speed_rpm=rpm, bearings=bearings, rotor=rotor)
         problems += effects_of(parts["model"], NAMED, model, base)[1]
     return problems
 
@@ -310,13 +314,8 @@ def _model(
     rig, spring = file.rig, file.rig.shaft_spring
     rotor: RotorMatrices | None = None
     if rig.rotor is not None:
-        try:
-            rotor = rotor_of_table(
-                rig.rotor, read_matrices(rig.rotor, base, attached), rig.speed_rpm or 0.0, file.band.high
-            )
-        except RotorError as error:
-            path_of_key = ("rig", "rotor", error.key)
-            return Model((), (file.band.low, file.band.high)), [Problem(path_of_key, str(error))]
+        matrices = read_matrices(rig.rotor, base, attached)
+        rotor = rotor_of_table(rig.rotor, matrices, rig.speed_rpm or 0.0, file.band.high)
     model = Model(
         channels=_channels(file.channel),
         band=(file.band.low, file.band.high),
@@ -333,6 +332,8 @@ def _model(
         anti_alias=_anti_alias(file.acquisition),
         iso20816=_machine_class(file.machine),
     )
+    if rig.rotor is not None and rotor is not None:
+        check_directions(rig.rotor, rotor, model.places)
     effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
     for node in rig.names:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +22,7 @@ NODE_NAME = r"^[a-z][a-z0-9_]*$"
 MAX_BEARINGS = 8
 ATTACHED_NAME = "rotor.npz"  # of the matrices in a log
 SYMMETRY_REL = 1e-6  # of the largest entry, up to which two entries of a matrix are equal, or an entry is 0
+MIN_MASS_REL = 1e-12  # least eigenvalue of M, its diagonal scaled to 1
 NodeName = Annotated[str, Field(pattern=NODE_NAME)]
 Matrix = list[list[float]]
 Arrays = dict[str, NDArray[np.float64]]
@@ -39,7 +40,7 @@ class RotorTable(Table):
     """
 
     file: str | None = Field(default=None, description="path from the rig file; `rotorscope rotor` makes it from ROSS")
-    bearings: Annotated[dict[NodeName, int], Field(min_length=1, description="name of each bearing -> its node")]
+    bearings: dict[NodeName, int] = Field(description="name of each bearing -> its node")
     discs: dict[NodeName, int] = Field(default={}, description="name -> node, where imbalance may act")
     dofs_per_node: Literal[1, 2, 4, 6] | None = Field(
         default=None, validate_default=True, description="1: x. 2: x, slope. 4: x, y, two slopes. 6: ROSS"
@@ -53,6 +54,8 @@ class RotorTable(Table):
     @field_validator("bearings")
     @classmethod
     def few(cls, value: dict[str, int]) -> dict[str, int]:
+        if not value:
+            raise ValueError("names no bearing: write the name and the node of each, such as { drive = 2, free = 18 }")
         if len(value) > MAX_BEARINGS:
             raise ValueError(f"{len(value)} bearings: at most {MAX_BEARINGS} are supported; leave the stiffest out")
         return value
@@ -68,6 +71,12 @@ class RotorTable(Table):
         if same := set(value) & set(info.data.get("bearings", {})):
             raise ValueError(f'"{min(same)}" is a bearing too; rename the disc')
         return value
+
+    @property
+    def names(self) -> RotorMatrices:
+        """The names of bearings and discs, without matrices."""
+        none = np.zeros((0, 0))
+        return RotorMatrices(dofs=(), bearings=(*self.bearings,), discs=(*self.discs,), M=none, C=none, K=none)
 
     @property
     def inline(self) -> dict[str, Matrix]:
@@ -124,7 +133,7 @@ def _of_file(path: Path) -> dict[str, Any]:
             return _npz(path)
         found = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, zipfile.BadZipFile) as error:
-        text = f"{path.name} cannot be read ({error}); write it by numpy.savez(FILE, M=M, K=K) or as a JSON object"
+        text = f"{path.name} is no {path.suffix} file of matrices; write it by numpy.savez(FILE, M=M, K=K), or as JSON"
         raise RotorError("file", text) from error
     return found if isinstance(found, dict) else {}
 
@@ -184,13 +193,15 @@ def rotor_of_table(table: RotorTable, given: Arrays, speed_rpm: float, high_hz: 
         if np.abs(A[np.ix_(planes["x"], planes["y"])]).max() > SYMMETRY_REL * np.abs(A).max():
             order = "x, y, slope about x, slope about y" if per_node == 4 else "those of ROSS"
             raise RotorError(key, f"{name} couples x and y: the degrees of freedom of a node have to be {order}")
-        least = [float(np.linalg.eigvalsh(A[np.ix_(own, own)])[0]) for own in planes.values()]
-        if name == "M" and min(least) <= 0.0:
-            row = next((i for i in planes["x"] if M[i, i] <= 0.0), None)
-            where = "is not positive definite" if row is None else f"has no mass in row {row}"
-            raise RotorError(key, f"M {where}: condense the degrees of freedom without mass, or give them one")
-        if min(least) < -SYMMETRY_REL * np.abs(A).max():
-            raise RotorError(key, f"{name} is not positive: such a shaft would bend by itself; check its signs")
+        scale = np.sqrt(np.abs(np.diag(A)))
+        row = next((i for own in planes.values() for i in own if A[i, i] <= 0.0), None)
+        if row is not None:
+            remedy = "condense what has no mass, or give it one" if name == "M" else "check its signs"
+            raise RotorError(key, f"{name}[{row}, {row}] = {A[row, row]:g} is not above 0: {remedy}")
+        scaled = A / scale[:, None] / scale
+        least = min(float(np.linalg.eigvalsh(scaled[np.ix_(own, own)])[0]) for own in planes.values())
+        if least < (MIN_MASS_REL if name == "M" else -SYMMETRY_REL):
+            raise RotorError(key, f"{name} is not positive definite: no shaft has such a matrix; check its signs")
     of_node = {"x": 0, "y": inner["y"][0] if "y" in inner else size}
     names = table.bearings | table.discs
     named = {name: {d: per_node * node + of_node[d] for d in "xy"} for name, node in names.items()}
@@ -203,10 +214,19 @@ def rotor_of_table(table: RotorTable, given: Arrays, speed_rpm: float, high_hz: 
         raise RotorError("bearings", str(error)) from error
 
 
+def check_directions(table: RotorTable, rotor: RotorMatrices, places: Collection[str]) -> None:
+    """Raises RotorError where gyroscopic moments couple a measured direction to one that is not measured."""
+    x, y = ([i for i, dof in enumerate(rotor.dofs) if dof.endswith(f".{d}")] for d in "xy")
+    alone = [p for p in places if p[:-1] + ("y" if p.endswith("x") else "x") not in places]
+    if alone and rotor.C[np.ix_(x, y)].any():
+        text = f"G couples x and y, and {alone[0].split('.')[0]} is measured in {alone[0][-1]} alone"
+        raise RotorError("file" if table.file else "G", f"{text}: measure both directions, or leave G out")
+
+
 def attachment(table: RotorTable, base: Path) -> dict[str, bytes]:
     """The matrices of a file, for a log."""
     if table.file is None:
         return {}
     target = io.BytesIO()
-    np.savez(target, allow_pickle=False, **read_matrices(table, base, {}))
+    np.savez_compressed(target, allow_pickle=False, **read_matrices(table, base, {}))
     return {ATTACHED_NAME: target.getvalue()}

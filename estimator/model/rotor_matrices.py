@@ -250,10 +250,14 @@ def reduced_rotor(
     Raises
     ------
     ModelError
-        The rotor moves freely while its bearings and discs are held.
+        The rotor moves freely while its bearings are held.
     """
     bases, dofs = [], []
     for d, plane in planes.items():
+        loose = [i for i in plane if i not in [nodes[name][d] for name in bearings]]
+        p = eigh(K[np.ix_(loose, loose)], M[np.ix_(loose, loose)], eigvals_only=True)
+        if p[0] < MIN_MODE_REL * p[-1]:
+            raise ModelError("the rotor turns freely while its bearings are held: name two bearings at least")
         held = [nodes[name][d] for name in nodes]
         inner = [i for i in plane if i not in held]
         T = np.zeros((len(M), len(held)))
@@ -262,10 +266,6 @@ def reduced_rotor(
         if inner:
             Kii = K[np.ix_(inner, inner)]
             p, shapes = eigh(Kii, M[np.ix_(inner, inner)])
-            if p[0] < MIN_MODE_REL * p[-1]:
-                raise ModelError(
-                    f"the rotor moves freely in {d} while its bearings and discs are held: name more bearings"
-                )
             T[inner] = -np.linalg.solve(Kii, K[np.ix_(inner, held)])
             kept = shapes[:, p < (2 * np.pi * MODES_UP_TO_REL * highest_hz) ** 2]
             modes = np.zeros((len(M), kept.shape[1]))

@@ -47,12 +47,14 @@ def init(output: Output, source: Path | None, name: str | None, out: Path) -> No
 
 
 def _of_example(path: Path, out: Path) -> tuple[str, list[str]]:
-    """The text of an example; its DBC is copied beside the new file."""
-    rig = load_rig(path)
-    notes = []
-    if rig.dbc is not None and not (out.parent / rig.dbc.name).exists():
-        write_whole(out.parent / rig.dbc.name, rig.dbc.read_bytes())
-        notes.append(f"{out.parent / rig.dbc.name}: the DBC that the example needs")
+    """The text of an example; its DBC and the matrices of its rotor are copied beside the new file."""
+    rig, notes = load_rig(path), []
+    rotor = rig.file.rig.rotor
+    matrices = rig.base / rotor.file if rotor is not None and rotor.file is not None else None
+    for needed, word in ((rig.dbc, "DBC"), (matrices, "rotor")):
+        if needed is not None and not (out.parent / needed.name).exists():
+            write_whole(out.parent / needed.name, needed.read_bytes())
+            notes.append(f"{out.parent / needed.name}: the {word} that the example needs")
     return path.read_text("utf-8"), notes
 
 

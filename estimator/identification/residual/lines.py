@@ -223,16 +223,16 @@ def _imbalance_finding(
     model: Model, point: WorkingPoint, F: Complexes, noise: Array, total: float, hz: float, p: float,
     power: dict[int, float],
 ) -> Finding | None:  # fmt: skip
-    """The forces F (places,) at order 1 as one rotating force on the disc; None where that leaves a fifth of them."""
-    disc = next(iter(model.discs), None)
-    if disc is None:
+    """The forces F (places,) at order 1 as one rotating force on a disc; None where that leaves a fifth of them."""
+    tried = []
+    for disc in model.discs:
+        weights = _cap_forces_of_disc(model, point, disc, hz)
+        information = float(np.sum(np.abs(weights) ** 2 / noise))
+        force = complex(np.sum(np.conj(weights) * F / noise)) / information
+        tried.append((information * abs(force) ** 2, disc, force, float(np.sqrt(0.5 / information))))
+    explained, disc, f_d, sd = max(tried, default=(0.0, "", 0j, 0.0))
+    if not disc or total - explained >= 0.2 * total + 3 * F.size:
         return None
-    weights = _cap_forces_of_disc(model, point, disc, hz)
-    f_d = complex(np.sum(np.conj(weights) * F / noise) / np.sum(np.abs(weights) ** 2 / noise))
-    explained = float(np.sum(np.abs(weights) ** 2 / noise) * abs(f_d) ** 2)
-    if total - explained >= 0.2 * total + 3 * F.size:
-        return None
-    sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
     return Finding(
         effect=IMBALANCE.name,
         at=(disc,),
