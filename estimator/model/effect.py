@@ -118,8 +118,6 @@ class Effect:
         the residual forces at the two bearings. samples: the raw samples of a channel.
     harmonics : tuple of int, "all" or None
         Of found_by harmonics: the orders of its angle that the force has.
-    speed_power : int
-        Of found_by harmonics: power of the shaft speed that the force on the disc grows with.
     feeds_energy : bool
         Whether the law can do work on the rotor over a closed orbit.
     channel_response : callable or None
@@ -157,7 +155,6 @@ class Effect:
     shape: Callable[..., Any] | None = None
     found_by: FoundBy = "law"
     harmonics: tuple[int, ...] | Literal["all"] | None = None
-    speed_power: int = 0
     feeds_energy: bool = False
     channel_response: Callable[..., Any] | None = None
     spectral_factor: Callable[..., Any] | None = None

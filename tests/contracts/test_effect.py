@@ -319,8 +319,6 @@ def test_how_it_is_found_has_what_that_needs(effect: Effect) -> None:
     if effect.watched:
         assert effect.kind == "force"
         assert effect.found_by == "law"
-    if effect.speed_power:
-        assert effect.kind == "disc"
 
 
 @of([e for e in ALL if e.harmonics is not None])

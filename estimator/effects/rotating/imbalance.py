@@ -42,6 +42,5 @@ IMBALANCE = Effect(
     force=force,
     found_by="harmonics",
     harmonics=(1,),
-    speed_power=2,
     in_likelihood=False,
 )

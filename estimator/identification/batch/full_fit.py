@@ -52,6 +52,8 @@ SPECTRAL_AND_SENSOR_EFFECTS = tuple(
 )
 MAX_TANGENT_SD_REL = 0.1  # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
 MIN_TOLD_SWING_DB = 1.0  # of the spectrum of the force along the band: instruments have +-10 %
+MAX_SPEED_CHANGE_REL = 0.02  # along a record: an imbalance changes by twice that
+SPEED_PIECES = 16  # of a record, for the speed along it
 RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 
 
@@ -142,6 +144,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
             full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))
         ),
         *_hysteresis_messages(full.point),
+        *_periodic_messages(full.model, full.point),
         *shaft_law.comb_message(data, [use.effect for use in full.point.placed]),
     )
     return replace(full, messages=(*notes, *full.messages), masses=masses)
@@ -181,6 +184,23 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
         if own and here is not None and here.total[0].std() > MAX_TANGENT_SD_REL * point.kL[i]:
             text = f"{place}: {own[0]} beside a strongly nonlinear law: its numbers may be off by some per cent"
             out.append(Message("hysteresis_uncorrected", text, place))
+    return tuple(out)
+
+
+def _periodic_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
+    """What the fit leaves out of the periodic forces of a model: a changing speed, and motion below the band."""
+    data, own = point.data, harmonics.periodic_effects(model)
+    rows = np.linspace(0, data.phase.size - 1, SPEED_PIECES + 1).astype(int)
+    speed = np.diff(data.phase[rows]) / np.diff(data.t[rows])
+    change = float(np.ptp(speed) / max(np.abs(speed).max(), 1e-12))
+    out = []
+    if change > MAX_SPEED_CHANGE_REL and any(one.effect.turns for one in own):
+        text = f"the speed changes by {100 * change:.0f} %: forces that turn with the shaft are those at the mean speed"
+        out.append(Message("speed_changes", f"{text}; take a part at constant speed (--from, --to)"))
+    below = sorted({one.hz for one in own if one.hz < data.band[0]})
+    if below and point.placed:
+        text = f"laws do not see the motion by the periodic force at {below[0]:.1f} Hz: it lies below the band"
+        out.append(Message("line_below_band", text))
     return tuple(out)
 
 

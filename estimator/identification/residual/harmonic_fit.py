@@ -25,14 +25,10 @@ from estimator.likelihood.motion.harmonics import (
     NOT_IDENTIFIABLE_TEXT,
     PeriodicEffect,
     acts_on,
-    below_band_forces,
     frequency_index,
     periodic_amplitudes,
     periodic_effects,
     periodic_series,
-    shaft_speeds,
-    speed_gain,
-    speed_gain_at,
 )
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
@@ -60,12 +56,10 @@ def fit_found_harmonics(
     alone, bare = replace(model, effects=uses), point.data
     alone, _ = _step_until_settled(alone, point, point.force)
     added = periodic_amplitudes(alone, bare.places, bare.rate_hz)
-    pushed = (*bare.periodic_below_band, *below_band_forces(alone, bare.places))
     data = replace(
         bare,
         known=bare.known - _periodic_series(alone, bare),
         periodic_amplitudes=(*bare.periodic_amplitudes, *added),
-        periodic_below_band=pushed,
     )
     point = fit_model(data, [*point.placed])
     whole = bare.known - data.known
@@ -164,7 +158,6 @@ def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Ser
     turned = 2 * np.pi * data.t if one.effect.state == "time" else data.phase
     pieces = _piece_index(turned.size)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
-    ratio = np.bincount(pieces, shaft_speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
     through = _model_leakage(model, one, point, 1 + inside)
     rows, right, unsure = [], [], []
     for i, place in enumerate(data.places):
@@ -178,8 +171,6 @@ def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Ser
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:
                 slopes[j] = _harmonic_slope(model, one, place, count, k)[inside]
-                if (swinging := speed_gain(model, one, place)) is not None:
-                    slopes[j] *= speed_gain_at(swinging, ratio)[:, None]
         psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.whitening.weight[i])
         scale = np.sqrt(data.t.size / RECORD_PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
         rows.append((slopes * scale).reshape(len(loose), -1))

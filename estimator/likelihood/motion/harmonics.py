@@ -5,13 +5,12 @@ determinant, and the motion that they cause stays in the displacement that the l
 harmonics, sum_k Re F_k exp(i k theta), with theta the shaft angle, the defect's angle or 2 pi f t; on the disc it
 reaches a cap through the shaft.
 
-Numbers are those at the mean speed of the record. While the speed changes an imbalance grows with its square, and the
-shaft between disc and cap answers otherwise (`speed_gain`).
+Numbers are those at the mean speed of the record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,9 +31,6 @@ PERIODIC_EFFECTS = tuple(name for name, effect in NAMED.items() if effect.found_
 POINTS_PER_TURN = 1 << 14
 NOT_IDENTIFIABLE_TEXT = "not distinguishable from zero in this record"
 MIN_BAND_GAIN = 1e-4  # gain of the band filter below which a harmonic is neglected
-SPEED_RATIOS = np.geomspace(0.1, 10.0, 1201)  # speeds over the mean speed at which a speed gain is tabulated
-MAX_SPEED_CHANGE_REL = 1e-3  # up to which the speed counts as constant
-SPEED_REACH_S = 0.25  # to either side, over which the speed is averaged
 MAX_HARMONICS = 399
 
 
@@ -187,14 +183,12 @@ class PeriodicForce:
 
     name : of the amplitude, "bearing1.x.line.a"; empty for the whole force. unit : of the amplitude. one : the effect.
     tables : by place index, (POINTS_PER_TURN + 1,) N per unit over a turn of the angle, in the band.
-    swings : by place index, (SPEED_RATIOS,) gain over that at the mean speed, where the force depends on the speed.
     """
 
     name: str
     unit: str
     one: PeriodicEffect
     tables: dict[int, Array]
-    swings: dict[int, Complexes]
 
     def series(self, t: Array, phase: Array) -> dict[int, Array]:
         """(n,) N per unit by place index, at t in s and phase in rad."""
@@ -205,15 +199,7 @@ class PeriodicForce:
         """(n,) N per unit at place i, at t in s and phase in rad; None where the effect does not act."""
         if i not in self.tables:
             return None
-        theta = self.one.angle(t, phase)
-        out: Array = np.asarray(_along(theta, self.tables[i]), dtype=np.float64)
-        if i not in self.swings:
-            return out
-        ratio = shaft_speeds(t, phase) / (2 * np.pi * self.one.hz)
-        if np.abs(ratio - 1.0).max() < MAX_SPEED_CHANGE_REL:
-            return out
-        g = speed_gain_at(self.swings[i], ratio)
-        return np.asarray(out * g.real + g.imag * _along(theta + 0.5 * np.pi, self.tables[i]))  # Re(g F e^(i theta))
+        return np.asarray(_along(self.one.angle(t, phase), self.tables[i]), dtype=np.float64)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -226,37 +212,6 @@ def _along(theta, table):  # type: ignore[no-untyped-def]
         k = min(int(at), table.size - 2)
         out[i] = table[k] + (at - k) * (table[k + 1] - table[k])
     return out
-
-
-def shaft_speeds(t: Array, phase: Array) -> Array:
-    """(n,) rad/s along t in s and phase in rad, which need not be evenly spaced; smooth, as pulses are few."""
-    rows = np.arange(t.size)
-    reach = max(1, int(SPEED_REACH_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
-    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, t.size - 1)
-    return np.asarray((phase[after] - phase[before]) / np.maximum(t[after] - t[before], 1e-12))
-
-
-def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | None:
-    """(SPEED_RATIOS,) force on a cap over that at the mean speed; None if it does not depend on the speed."""
-    if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
-        return None
-    omega = 2 * np.pi * one.hz * np.append(SPEED_RATIOS, 1.0)
-    through = cap_force_per_shaft_force(model, one.key, place, omega) @ (
-        (1.0, -1j) if place.endswith("x") else (1j, 1.0)
-    )
-    through -= 0.5 if one.effect.kind == "shaft" else 0.0
-    grown = SPEED_RATIOS**one.effect.speed_power
-    return np.asarray(grown * through[:-1] / through[-1])
-
-
-def speed_gain_at(swing: Complexes, ratio: Array) -> Complexes:
-    """(n,) speed gain at these ratios of the speed to the mean speed."""
-    return np.asarray(np.interp(ratio, SPEED_RATIOS, swing.real) + 1j * np.interp(ratio, SPEED_RATIOS, swing.imag))
-
-
-def _swings(model: Model, one: PeriodicEffect, places: tuple[str, ...]) -> dict[int, Complexes]:
-    found = {i: speed_gain(model, one, place) for i, place in enumerate(places) if acts_on(one, place)}
-    return {i: g for i, g in found.items() if g is not None}
 
 
 def periodic_amplitudes(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
@@ -273,7 +228,7 @@ def periodic_amplitudes(model: Model, places: tuple[str, ...], rate_hz: float) -
                 tables = _tables(model, replace(one, p=p), places, rate_hz)
                 name = f"{one.key}.{one.effect.name}.{q.name}"
                 out.append(
-                    PeriodicForce(name=name, unit=q.unit, one=one, tables=tables, swings=_swings(model, one, places))
+                    PeriodicForce(name=name, unit=q.unit, one=one, tables=tables)
                 )
     return tuple(out)
 
@@ -295,42 +250,10 @@ def periodic_forces(model: Model, places: tuple[str, ...], rate_hz: float) -> tu
     """Forces of the model's periodic effects in the band, all amplitudes of an effect together."""
     made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_effects(model)]
     return tuple(
-        PeriodicForce(name="", unit="N", one=one, tables=tables, swings=_swings(model, one, places))
+        PeriodicForce(name="", unit="N", one=one, tables=tables)
         for one, tables in made
         if tables
     )
-
-
-@dataclass(frozen=True, slots=True)
-class BelowBandForce:
-    """A periodic force below the band.
-
-    one : the effect. force : by place index, (orders,) N, its harmonics from the first. swings : as PeriodicForce.
-    """
-
-    one: PeriodicEffect
-    force: dict[int, Complexes]
-    swings: dict[int, Complexes]
-
-    def displacement(self, t: Array, phase: Array, response: Callable[[Array], Complexes]) -> dict[int, Array]:
-        """(n,) m by index of the place. response : w (f,) rad/s -> (f, places, places) m/N."""
-        F = np.stack([*self.force.values()], axis=1)
-        yields = response(2 * np.pi * self.one.hz * np.arange(1.0, len(F) + 1))[..., [*self.force]]
-        moved = np.einsum("fij,fj->if", yields, F)
-        made = {i: _turned(x) for i, x in enumerate(moved) if x.any()}
-        return PeriodicForce(name="", unit="m", one=self.one, tables=made, swings=self.swings).series(t, phase)
-
-
-def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandForce, ...]:
-    """The model's periodic forces, their part below the band."""
-    out = []
-    for one in periodic_effects(model):
-        count = int(min(model.band[0] / one.hz, POINTS_PER_TURN // 8))
-        heard = one.sounding(count)
-        if heard.any():
-            force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts_on(one, p)}
-            out.append(BelowBandForce(one, force, _swings(model, one, places)))
-    return tuple(out)
 
 
 def _turned(harmonics: Complexes) -> Array:

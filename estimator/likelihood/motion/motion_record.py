@@ -16,7 +16,7 @@ from estimator.model.rig import LineBand
 from estimator.model.rotor_matrices import Rotor
 from estimator.signals.band_limit import noise_shape
 
-from .harmonics import BelowBandForce, PeriodicForce
+from .harmonics import PeriodicForce
 from .law_smoothing import HALF_SUPPORT_ROWS, MIN_SMOOTHING_SD, interpolated
 
 TIME_FOLDS = 6  # of every record, for held-out errors and standard deviations
@@ -55,7 +55,6 @@ class MotionRecord:
     denoise_correction : (places, n) denoised displacement less the displacement; None if the noise is negligible.
     denoise_sd : (places, 2) sd of displacement and velocity that remains after denoising; 0.0 without.
     shared : pairs of places whose unmeasured forces may be correlated.
-    periodic_below_band : the model's periodic forces below the band.
     periodic_amplitudes : the model's periodic forces in the band by free amplitude; `known` has their known part.
     level : (places, blocks) power of the excitation over its mean; None if it is constant.
     disc : the disc on a massless shaft; None without one. rotor : shaft and discs as the caps move them, or None.
@@ -92,7 +91,6 @@ class MotionRecord:
     denoise_correction: Series | None = None
     denoise_sd: Array | float = 0.0
     shared: tuple[tuple[int, int], ...] = ()
-    periodic_below_band: tuple[BelowBandForce, ...] = ()
     periodic_amplitudes: tuple[PeriodicForce, ...] = ()
     level: Array | None = None
     disc: Disc | None = None

@@ -26,7 +26,7 @@ from estimator.signals.channel_response import anti_alias_response, corrected_re
 from estimator.signals.shaft_angle import measured_phase
 
 from .force_balance import motion_channels, shaft_terms
-from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
+from .harmonics import periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
@@ -121,7 +121,7 @@ def motion_record(
         places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
         v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, out_of_band_sd=np.zeros((P, 2)), rms=rms,
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model), rotor=rotor,
-        periodic_below_band=below_band_forces(model, places), below_band_force=slow,
+        below_band_force=slow,
         periodic_amplitudes=periodic_amplitudes(model, places, rate_hz),
         lines=_lines_passed(model, rate_hz),
         held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},

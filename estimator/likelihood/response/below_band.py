@@ -86,14 +86,14 @@ def below_band_displacement(
 
 
 def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequence[LocatedLaw]) -> MotionRecord:
-    """Record with the displacement below the band: measured, and from laws, periodic forces and measured forces.
+    """Record with the displacement below the band: measured, and from laws and measured forces.
 
     If a cap resonates below the band, measured forces are neglected there: the response at the resonance is not
     identified by the band. kL : (places,) N/m; c : (places,) N s/m.
     """
     lin = np.stack([data.mass, kL, c], axis=1)
     own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
-    if not any(own) and not data.periodic_below_band and data.below_band_force is None:
+    if not any(own) and data.below_band_force is None:
         return data
     for _ in range(1 if data.below_band_force is None else MEASURED_FORCE_ROUNDS):
         push, tangents = _pushed(data, own, lin)
@@ -109,9 +109,6 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
         slow = np.zeros(data.x.shape, np.float32)
         if push:
             for i, x in below_band_displacement(push, response, data.rate_hz, data.band[0]).items():
-                slow[i] += x
-        for periodic in data.periodic_below_band:
-            for i, x in periodic.displacement(data.t, data.phase, response).items():
                 slow[i] += x
         if data.measured is not None:
             slow += data.measured

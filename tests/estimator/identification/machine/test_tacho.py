@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing
-from scipy.integrate import solve_ivp
 
 from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
@@ -16,7 +15,6 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import lines
 from estimator.identification.residual.stiffness_order import find_stiffness_order
-from estimator.likelihood.motion.harmonics import periodic_forces, periodic_series
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.signals.shaft_angle import with_measured_speed
 from estimator.simulation.shaft_speed import ShaftSpeed
@@ -83,42 +81,6 @@ def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np
     measured = with_measured_speed(replace(rig, speed_rpm=1800.0), record, RATE)
     assert measured.speed_rpm == pytest.approx(60.0 * turns / SECONDS, rel=1e-4)
     assert with_measured_speed(replace(rig, channels=rig.channels[:-1]), record[:, :-1], RATE).speed_rpm == 2100.0
-
-
-@pytest.mark.slow
-def test_an_imbalance_grows_with_the_square_of_a_speed_that_changes(rig: Model) -> None:
-    """20 % in 20 s: held at its mean it left 1.8 % of the bearing force, and its number was 19 standard deviations off.
-    Beside the equation of a disc between caps that stand still."""
-    ramp, U, disc, ks, cs = ShaftSpeed(12000.0, ramp_rpm_per_s=120.0), 1e-5, 0.515, 155e3, 40.0
-    rig = replace(rig, shaft_stiffness=ks, shaft_damping=cs)
-    t = np.arange(int(20.0 * RATE)) / RATE
-    phase, alpha = ramp.phase(t), 2 * np.pi * 120.0 / 60.0
-    mean = float(phase[-1] - phase[0]) / (t[-1] - t[0])
-    a = U * mean**2
-    model = with_effect(rig, CATALOGUE["imbalance"], {"a": a, "b": 0.0}, "disc")
-    made = periodic_series(replace(model, speed_rpm=60 * mean / (2 * np.pi)), model.places, t, phase, RATE)
-    assert made is not None
-
-    def step(now: float, z: np.ndarray) -> list[float]:
-        angle, speed = float(ramp.phase(np.array([now]))[0]), 2 * np.pi * (200.0 + 2.0 * now)
-        force = U * (speed**2 * np.cos(angle) + alpha * np.sin(angle))
-        return [z[1], (force - 2 * ks * z[0] - 2 * cs * z[1]) / disc]
-
-    for begin in (2.0, 17.0):  # s; the first half second is the start from rest
-        rows = slice(int((begin + 0.5) * RATE), int((begin + 0.6) * RATE))
-        path = solve_ivp(step, (begin, begin + 0.7), [0.0, 0.0], t_eval=t[rows], rtol=1e-8, atol=1e-15)
-        at_cap = ks * path.y[0] + cs * path.y[1]
-        assert np.abs(made[0][rows] - at_cap).max() < 0.01 * np.abs(at_cap).max()
-
-
-def test_at_a_constant_speed_nothing_swings(rig: Model) -> None:
-    t = np.arange(int(2.0 * RATE)) / RATE
-    model = with_effect(rig, CATALOGUE["imbalance"], {"a": 3.0, "b": 1.0}, "disc")
-    model = replace(model, speed_rpm=12000.0)
-    wave = periodic_forces(model, model.places, RATE)[0]
-    still = replace(wave, swings={})
-    for i, z in wave.series(t, 2 * np.pi * 200.0 * t).items():
-        assert np.array_equal(z, still.series(t, 2 * np.pi * 200.0 * t)[i])
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -141,19 +140,6 @@ def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
                 p = last[0][f"{place}.{use.name}.{name}"]
                 assert p.value is None
                 assert "rotorscope fit has its numbers" in p.reason
-
-
-@pytest.mark.slow
-def test_a_law_feels_a_line_below_the_band() -> None:
-    """A stop of 6 % and 100 Hz of 30 % of the bearing force under a band from 150 Hz: of the displacement without it
-    1.4 % of the force was left, as a stiffness that turns with the shaft."""
-    rig = replace(one_bearing(), effects=())
-    stop, natural = CATALOGUE["stop"], size(rig, "bearing1.x", RATE)
-    truth = with_effect(rig, stop, strengths(stop, natural, 0.06, rig, 8.0), *rig.places)
-    line = {"a": Setting(0.3 * np.sqrt(2.0) * natural.force), "b": Setting(0.0), "frequency": Setting(100.0)}
-    truth = replace(truth, effects=(*truth.effects, EffectUse("line", dict.fromkeys(rig.places, line))))
-    whole = fit_all_effects(truth, simulate(truth, RATE, 8.0, seed=1, noise=0.002), RATE)
-    assert not missing_force.survey(whole.point, whole.model).any_found()
 
 
 def test_a_typed_law_with_lengths_in_metres_is_seen_to_be_lopsided() -> None:
