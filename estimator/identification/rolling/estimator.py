@@ -184,7 +184,7 @@ class RollingEstimator:
 
     def _warming_up(self) -> Estimate:
         """No parameters: how much of what the first fit needs is there."""
-        needed = -(-(self._wanted + self._filter.half) // self._block) * self._block + self._job_rows
+        needed = -(-(self._wanted + self._filter.half) // self._piece) * self._piece + self._job_rows
         seen_s, needed_s, low = self._seen / self.rate_hz, needed / self.rate_hz, self.model.band[0]
         status = f"warming up: {seen_s:.3g} of {needed_s:.3g} s"
         if self._wanted > WARM_UP_S * self.rate_hz + self._block:
@@ -199,14 +199,19 @@ class RollingEstimator:
         self._leave_out_spikes(y)
         self._rows.append(y)
         motion = self._filter.push(y[:, self._used] / self._gain)
-        if not motion.rows:
-            return
-        self._kept.append(motion)
-        if self._follower is not None:
-            self._advance(self._follower)
-        elif self._end - self._kept[0].start >= self._wanted and self._end >= self._retry_at:
+        if motion.rows:
+            self._kept.append(motion)
+            if self._follower is not None:
+                self._advance(self._follower)
+            self._trim()
+        if self._follower is None and self._is_due_to_start():
             self._jobs.append(self._start)
-        self._trim()
+
+    def _is_due_to_start(self) -> bool:
+        """Whether the first seconds are there, and an estimate has just been due: the next one waits least then."""
+        if not self._kept or self._seen % self._piece:
+            return False
+        return self._end - self._kept[0].start >= self._wanted and self._end >= self._retry_at
 
     def _do_job(self) -> None:
         """Do the next thing that no estimate waits for."""

@@ -40,7 +40,7 @@ def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: n
     assert [e.extra["warm_up_s"] for e in estimates[:first] if e.extra] == [e.index / RATE for e in estimates[:first]]
     assert estimates[0].extra is not None
     assert estimates[0].extra["warm_up_needed_s"] == pytest.approx(first * BLOCK / RATE, abs=2 * BLOCK / RATE)
-    assert estimates[0].status == "warming up: 0.05 of 4.2 s"
+    assert estimates[0].status == "warming up: 0.05 of 4.36 s"
     assert 4.0 <= first * BLOCK / RATE < 5.5
     assert all(shown[first:])
     assert estimates[-1].index == len(record)
