@@ -10,6 +10,7 @@ from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from estimator.arrays import Array, Complexes
 
@@ -104,19 +105,29 @@ class Jacobian:
         if response is not None:
             others, follow = response
             out.A0 = out.A0 - self.A0[:, places[:, None], others] @ follow
-        share = places.size / self.A0.shape[1]
-        out.offset = self.offset * share
-        if response is not None:  # all places together have what the whole has
-            whole, own = (self._sum(det, phase_steps(det)) for det in map(_determinants, (self.A0, out.A0)))
-            out.offset += own - whole * share
+        if response is not None:  # all places of a coupled group together have what the group has
+            out.offset = self._sum_of(out.A0)
+            for group in self._coupled_groups():
+                share = np.isin(group, places).mean()
+                out.offset -= share * self._sum_of(self.A0[:, group[:, None], group]) if share else 0.0
         out._set_reference()
         return out
 
+    def _coupled_groups(self) -> list[NDArray[np.int64]]:
+        """Places that the shaft couples, by group."""
+        count, group = connected_components(np.any(self.A0 != 0, axis=0))
+        return [np.flatnonzero(group == k) for k in range(count)]
+
+    def _sum_of(self, A: Complexes) -> float:
+        """The sum of 2 log |det A| along the line. A : (bins, k, k)."""
+        determinant = _determinants(A)
+        return self._sum(determinant, phase_steps(determinant))
+
     def coupled_response(self, places: NDArray[np.int64]) -> CoupledResponse | None:
-        """The other places that the shaft couples to these, and minus their motion per motion of these, (bins, others,
-        places); None where there are none."""
-        others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
-        others = others[np.any(self.A0[:, others[:, None], places] != 0, axis=(0, 2))]
+        """The other places that are coupled to these, some through others, and minus their motion per motion of these,
+        (bins, others, places); None where there are none."""
+        groups = [group for group in self._coupled_groups() if np.isin(group, places).any()]
+        others = np.setdiff1d(np.concatenate(groups), places)
         if not others.size:
             return None
         follow = np.linalg.solve(self.A0[:, others[:, None], others], self.A0[:, others[:, None], places])
