@@ -34,6 +34,7 @@ MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the g
 SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
 SURVEY_ROWS = 600_000  # at least, of a record at a low rate
 NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
+NEGLIGIBLE_EXCITATION_SHARE = 0.02  # of the rms excitation: no background is known so well as to tell less from it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +121,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
     tries += len(point.data.places) * len(knots)  # the polynomials
     level = plain.likelihood(fitted, np.arange(point.data.fold_blocks.size))
     found: list[FoundGroup] = []
-    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
+    least = _negligible_power(point, i)
     upper = 0.0
     while len(found) < len(names):
         chosen = [group.group for group in found]
@@ -150,6 +151,16 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
         pool=problem,
         hidden_N2=upper,
     )
+
+
+def _negligible_power(point: WorkingPoint, i: int) -> float:
+    """Mean square, N^2, of a force at location i that errors of the processing, or of a background, may be."""
+    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
+    if point.data.background is None:
+        return float(least)
+    width_hz = point.data.bins.size * point.data.rate_hz / point.data.block
+    excitation = point.S[i] * np.mean(point.data.excitation_shape[i]) * width_hz
+    return float(max(least, NEGLIGIBLE_EXCITATION_SHARE**2 * excitation))
 
 
 def _try_group(
