@@ -60,7 +60,7 @@ class Line:
 def lines_to_leave_out(
     lines: Sequence[Line], band: tuple[float, float], speed: ShaftSpeed | None = None
 ) -> list[Line]:  # fmt: skip
-    """Lines that no force balance in a band judges: no resonances, beside the band any, and harmonics of the shaft.
+    """Lines that no force balance in a band judges: no resonances, beside the band any, harmonics of shaft and mains.
 
     Parameters
     ----------
@@ -71,10 +71,13 @@ def lines_to_leave_out(
     speed : ShaftSpeed or None
         Of the shaft; its wander widens its harmonics.
     """
+    mains = _mains_hz(lines, speed)
 
     def is_harmonic(line: Line) -> bool:
-        fine = line.half_width_hz <= MAX_WANDER_REL * line.hz
-        return fine and speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
+        if line.half_width_hz > MAX_WANDER_REL * line.hz:
+            return False
+        of_shaft = speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
+        return of_shaft or mains is not None and _is_mains(line, mains)
 
     return [line for line in lines if line.narrow or not band[0] < line.hz < band[1] or is_harmonic(line)]
 

@@ -9,6 +9,7 @@ import pytest
 
 from estimator import Channel, EffectUse, Model, Setting, compare, simulate
 from estimator.identification.machine.line_bands import with_lines_left_out
+from estimator.identification.machine.tones import Line, lines_to_leave_out
 
 RATE_HZ = 12800.0
 CAP_X = {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}
@@ -55,6 +56,14 @@ def test_the_bands_hold_the_tones_and_nothing_else() -> None:
     bands = with_lines_left_out(ONE_CAP_RIG, y + 0.3 * y.std() * tones(len(y), 251.3, 2400.0), RATE_HZ).line_bands
     assert [round(b.centre_hz) for b in bands] == [251, 2400]
     assert all(b.high_hz - b.low_hz < 0.02 * b.centre_hz for b in bands)
+
+
+def test_mains_hum_is_left_out_where_a_short_record_does_not_tell_it_from_a_mode() -> None:
+    hum, mode = (
+        Line(channel="b1x", hz=hz, half_width_hz=0.1, amplitude=1.0, log_p=-90.0, power_ratio=50.0, narrow=False)
+        for hz in (60.01, 71.3)
+    )
+    assert lines_to_leave_out([hum, mode], (40.0, 2000.0)) == [hum]
 
 
 @pytest.mark.parametrize("why", ["force", "own", "unknown"])
