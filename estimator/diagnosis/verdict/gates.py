@@ -18,6 +18,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.identification.residual import missing_force
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
@@ -74,10 +75,16 @@ def large_enough(entry: Entry, context: Context) -> GateResult:
 
 
 def inside_limits(entry: Entry, context: Context) -> GateResult:
-    """No tone or mode above half the rate, and no gap wider than the motion."""
+    """No tone outside the band, no mode above half the rate, and no gap wider than the motion."""
     data = context.point.data
+    hz = [p.value for p in entry.parameters.values() if p.unit == "Hz" and p.value is not None]
+    if entry.effect in PERIODIC_EFFECTS and hz and not data.band[0] <= hz[0] <= data.band[1]:
+        return GateResult(
+            gate="inside limits", passed=False, measured=hz[0], limit=data.band[hz[0] > data.band[1]],
+            text="frequency outside the band",
+        )  # fmt: skip
     most = THRESHOLDS.max_frequency_over_rate
-    highest = max((p.value or 0.0 for p in entry.parameters.values() if p.unit == "Hz"), default=0.0) / data.rate_hz
+    highest = max(hz, default=0.0) / data.rate_hz
     if highest > most:
         text = "frequency over the rate"
         return GateResult(gate="inside limits", passed=False, measured=highest, limit=most, text=text)

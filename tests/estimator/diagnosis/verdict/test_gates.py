@@ -81,6 +81,8 @@ def test_what_no_machine_can_have_is_no_candidate(context: Context) -> None:
     assert not inside_limits(entry(values=(1e6, 1.0)), context).passed, "a gap of a metre"
     tone = {"bearing1.x.line.frequency": Parameter(0.6 * RATE, 1.0, "Hz")}
     assert not inside_limits(entry(placed=(), parameters=tone), context).passed, "above half the rate"
+    beside = {"bearing1.x.line.frequency": Parameter(0.5 * context.model.band[0], 1.0, "Hz")}
+    assert not inside_limits(entry("line", placed=(), parameters=beside), context).passed, "a tone below the band"
 
 
 def test_the_first_gate_that_refuses_is_the_last_that_is_asked(context: Context) -> None:
