@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
@@ -21,6 +23,7 @@ from estimator.identification.record import UsableRecord
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
@@ -223,6 +226,15 @@ class _Ladder:
 
     def add(self, best: Entry) -> str:
         """Add an effect that was named. Returns why it is refused; "" where it is added."""
+        refusal = self._added_or_refused(best)
+        if refusal and self.whole.point.data.x.shape[1] == 0:  # the rows were dropped for the fit with the effect
+            point = self.whole.point
+            data = prepare(self.whole.model, self._y, self._rate_hz)
+            self.whole = replace(self.whole, point=fit_model(data, list(point.placed), start=point))
+        return refusal
+
+    def _added_or_refused(self, best: Entry) -> str:
+        """Add an effect, or say why it is refused. The rows of the working point may be gone afterwards."""
         try:
             new = self._with_law(best) if best.placed else self._with_settings(best)
         except DataError as problem:  # far from the rotor
@@ -275,7 +287,8 @@ class _Ladder:
     def _with_law(self, best: Entry) -> FullFit | None:
         """The model with a law that was found; None where the law cannot be distinguished from zero.
 
-        Masses and shapes of spectra were fitted without the law. They are fitted again with it.
+        Masses, shapes of spectra and the background were fitted without the law. They are fitted again with it, and are
+        kept as they were where that predicts better.
         """
         given, model, point = self._given, self.whole.model, self.whole.point
         richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
@@ -286,9 +299,11 @@ class _Ladder:
         if not (self.whole.masses or shaped or model.background):
             return new
         again = replace(new.model, mass=given.mass, background=None)  # found anew: a missing law bends spectra too
-        del richer, new, point
+        del point
         self._drop_rows()
-        return _refitted(again, self._y, self._rate_hz)
+        refitted = _refitted(again, self._y, self._rate_hz)
+        comparable = np.array_equal(refitted.point.data.bins, richer.data.bins)
+        return new if comparable and heldout_nll(richer) < heldout_nll(refitted.point) else refitted
 
     def _with_settings(self, best: Entry) -> FullFit:
         """The model with an effect that is no law of a state.
