@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+ELEMENTS_PER_PRODUCT = 1 << 13  # of a matrix product that one thread makes
 LONG_RECORD_BYTES = 1 << 27  # 150 s of four channels at 25.6 kHz: of shorter ones new memory costs more than it saves
 
 Array = NDArray[np.float64]
@@ -37,3 +38,9 @@ def return_freed_memory(y: Array) -> None:
         under = under.base
     if isinstance(under, mmap.mmap):
         under.madvise(mmap.MADV_DONTNEED)
+
+
+def products(J: Array) -> Array:
+    """(k, k) products of the rows of J (k, n), a part at a time: threads would wait longer than the sums take."""
+    parts = np.array_split(J, max(J.size // ELEMENTS_PER_PRODUCT, 1), axis=1)
+    return np.asarray(sum(part @ part.T for part in parts), np.float64)

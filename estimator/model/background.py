@@ -12,17 +12,21 @@ A law of the bearing acts along the deflection of the bearing, the motion of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import prod
 from typing import Any, Literal
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
+from estimator.errors import ModelError
 
 MIN_CHANGE_REL = 1e-3  # of stiffness or damping, that is worth another fit
 ModeForm = Literal["support", "attached"]
+NO_EQUIVALENT = "no modes under the bearing are equivalent"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +74,62 @@ class StructuralMode:
         if self.form != "attached":
             return np.zeros(s.shape, np.complex128)
         return np.asarray(self.mass * s * s * (self.w0**2 + self.damping_term(s)) / self.denominator(s), np.complex128)
+
+
+def all_under_bearing(
+    stiffness: float, damping: float, modes: Sequence[StructuralMode]
+) -> tuple[float, float, list[StructuralMode]]:
+    """The bearing and structural modes under it that move the cap as a bearing with modes of both forms does.
+
+    The motion of the cap alone does not tell one from the other where damping is light. The modes under the bearing are
+    the zeros of the dynamic stiffness at the cap, and their masses its slopes there.
+
+    Parameters
+    ----------
+    stiffness, damping : float
+        Of the bearing, N/m and N s/m.
+    modes : sequence of StructuralMode
+        Modes under the bearing and on the cap.
+
+    Returns
+    -------
+    stiffness, damping, modes
+        Of the equivalent bearing, and under it.
+
+    Raises
+    ------
+    ModelError
+        No modes under a bearing are equivalent: the bearing is damped beyond critical.
+    """
+    w = modes[0].w0  # unit of s
+
+    def product(some: Iterable[StructuralMode]) -> Polynomial:
+        factors = (Polynomial([(m.w0 / w) ** 2, 2.0 * m.damping * m.w0 / w, 1.0]) for m in some)
+        return prod(factors, start=Polynomial([1.0]))
+
+    D = Polynomial([stiffness, damping * w])
+    under, on = ([m for m in modes if m.form == form] for form in ("support", "attached"))
+    above = product(under) + D * sum(product(m for m in under if m is not own) / (own.mass * w * w) for own in under)
+    loads = (
+        own.mass * w * w * Polynomial([0.0, 0.0, (own.w0 / w) ** 2, 2.0 * own.damping * own.w0 / w])
+        * product(m for m in on if m is not own) for own in on
+    )  # fmt: skip
+    top = D * product(under) * product(on) + above * sum(loads, start=Polynomial([0.0]))
+    bottom, slope = above * product(on), top.deriv()
+    zeros = top.roots()
+    alone = zeros[np.abs(zeros.imag) <= 1e-9 * np.abs(zeros)].real
+    if alone.size != 1:
+        raise ModelError(NO_EQUIVALENT)
+    per = float((slope(alone[0]) / bottom(alone[0])).real)  # dynamic stiffness of the bearing per s
+    out = []
+    for zero in zeros[zeros.imag > 1e-9 * np.abs(zeros)]:
+        mass = -0.5 / float((bottom(zero) / slope(zero) * np.conj(zero)).real) / (w * w)
+        if mass <= 0.0:
+            raise ModelError(NO_EQUIVALENT)
+        w0 = float(np.abs(zero))
+        out.append(StructuralMode(form="support", mass=mass, frequency_hz=w0 * w / (2.0 * np.pi),
+                                  damping=float(-zero.real / w0)))  # fmt: skip
+    return -per * float(alone[0]), per / w, out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ from estimator.errors import NoResonanceError, NotFiniteError
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.residual import harmonic_fit, measured_path, stiffness_order
 from estimator.identification.search import search
-from estimator.identification.structure import spectral_models, spectral_shape, upper_edge
+from estimator.identification.structure import spectral_models, spectral_shape
 from estimator.identification.structure.background_search import find_background
 from estimator.likelihood.fitting.fitted_values import Estimate, fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
@@ -34,7 +34,7 @@ from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 from estimator.signals.shaft_angle import with_measured_speed
 
-from . import unknown_mass, unmeasured_end
+from . import unknown_mass, unmeasured_end, upper_edge
 from .disturbance_numbers import (
     further_lines_found,
     is_identifiable_by_force,

@@ -12,20 +12,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.arrays import Array
+from estimator.arrays import Array, products
 from estimator.identification.structure.background_search import (
-    MAX_MISFIT,
     MIN_GAIN_NATS,
     backgrounds,
-    caps_by_direction,
     force_dispersion,
-    measured_spectra,
     search_background,
-    spectral_problem,
-    start_values,
     tried_point,
 )
-from estimator.identification.structure.joint_spectrum import JointPoint, JointSpectrum, products
+from estimator.identification.structure.joint_spectrum import JointPoint, JointSpectrum
+from estimator.identification.structure.spectral_problem import (
+    caps_by_direction,
+    measured_spectra,
+    spectral_problem,
+    start_values,
+)
+from estimator.identification.structure.spectral_shape import MAX_BACKGROUND_DEPTH_RMS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground
 from estimator.model.rig import Model
@@ -77,7 +79,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
         problem, point = best
         misfit = float(problem.misfit(point).max())
         sd = np.hypot(_mass_sd(problem, point) * force_dispersion(apart) ** 0.5, misfit)
-        if misfit > MAX_MISFIT or len(own) < 2:
+        if misfit > MAX_BACKGROUND_DEPTH_RMS or len(own) < 2:
             sd = np.full(sd.size, UNKNOWN_SD)
         ln_mass |= {
             data.places[own[cap]]: (float(heavier), float(s))

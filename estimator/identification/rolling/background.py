@@ -19,9 +19,8 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.structure.background_search import background_of_spectra
+from estimator.identification.structure.background_search import background_of_spectra, one_cause_is_enough
 from estimator.identification.structure.cross_spectra import SearchTooLongError, Work
-from estimator.identification.structure.spectral_shape import spectra_are_explained
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -152,7 +151,7 @@ def _searched(
     try:
         model, _, data = first_record(first.model, lines, y, rate_hz, block)
         point = fit_model(data, list(first.point.placed), first.point, rounds=1)
-        background = background_of_spectra(model, point, work)
+        background, gain_nats = background_of_spectra(model, point, work)
         if background is None:
             return None
         stiffness = dict(zip(data.places, np.einsum("iik->ik", point.mean_tangent)[:, 0].tolist(), strict=True))
@@ -161,7 +160,7 @@ def _searched(
             return Finding(stiffness)
         if background.agrees_with(model.background):
             return None
-        if model.background is None and spectra_are_explained(model, point):
+        if model.background is None and one_cause_is_enough(model, point, gain_nats):
             return None
         own = replace(model, background=background)
         point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))

@@ -6,23 +6,42 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
+from estimator.arrays import Array, Complexes, products
+from estimator.errors import ModelError
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.background import Background, BearingBackground, ModeForm
+from estimator.model.background import Background, BearingBackground, ModeForm, all_under_bearing
 from estimator.model.rig import Model
 
-from .cross_spectra import CrossSpectra, Work, cross_spectra
-from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, products
-from .spectral_shape import MIN_UNKNOWN_DEPTH_RMS, spectra_are_explained
+from .cross_spectra import Work
+from .joint_spectrum import (
+    DAMPING_RATIO_LIMITS,
+    MASS_RATIO_LIMITS,
+    JointPoint,
+    JointSpectrum,
+    JointValues,
+    ModePlace,
+)
+from .spectral_problem import (
+    caps_by_direction,
+    measured_spectra,
+    spectral_problem,
+    start_values,
+    with_known_background,
+)
+from .spectral_shape import (
+    EXPLAINED_SHARE,
+    MAX_BACKGROUND_DEPTH_RMS,
+    MIN_UNKNOWN_DEPTH_RMS,
+    nats_of_one_cause,
+)
 
 MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
-MAX_MISFIT = 0.23  # rms of ln(measured / model) with a background, 1 dB: instruments have +-10 % (ISO 2954)
 MAX_MODES_PER_CAP = 6
 KNOT_OCTAVES = (2.0, 1.0)  # distances of the knots of the spectrum of the force, tried in turn
 FALL_POWERS = (8, 16, 32)  # of the frequency in ln S, towards the upper edge: an unknown filter, a mounting resonance
@@ -35,16 +54,16 @@ BEST_SCORES = 60  # of a form at a cap, among which the proposals are
 SAME_FREQUENCY_LN = 0.1  # proposals nearer than this are one
 SURE_MASS_SD = 0.1  # of ln(mass): a mode as sure is worth some 50 nats
 TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0
-MIN_STIFFNESS_REL = 1e-3  # of the stiffest bearing, for a start where a fit is far from the rotor
-START_NOISE_REL = 1e-4  # of the least PSD
+MAX_IDLE_MODES = 2  # that a mode makes idle by its other form
+MIN_DAMPING_REL = 0.1  # of the damping of a bearing before, where a mode changes its form
 SHAPE_KNOTS = 64  # of the spectrum of the force in the result
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
     """The background that a record shows beside a fitted model; None where the model explains the spectra.
 
-    A measured force has the spectrum that it has, and its path shows the structure: no background is sought there.
-    None either where one effect of the catalogue explains the spectra.
+    A measured force has the spectrum that it has, and its path shows the structure: no background is sought there. One
+    cause of the catalogue that explains all spectra as well as the background is left to the diagnosis.
 
     Parameters
     ----------
@@ -53,14 +72,27 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     point : WorkingPoint
         The fitted model.
     """
-    found = background_of_spectra(model, point, Work())
-    if found is None or (model.background is None and spectra_are_explained(model, point)):
-        return None
-    return found
+    found, gain_nats = background_of_spectra(model, point, Work())
+    if found is None or model.background is not None:
+        return found
+    return None if one_cause_is_enough(model, point, gain_nats) else found
 
 
-def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> Background | None:
-    """The background that explains the spectra of a record; None where the model does. Effects are not considered.
+def one_cause_is_enough(model: Model, point: WorkingPoint, gain_nats: float) -> bool:
+    """Whether no location has a spectral shape, or one cause of the catalogue explains all as well as a background.
+
+    gain_nats : of the background.
+    """
+    cause_nats = nats_of_one_cause(model, point)
+    if not cause_nats:
+        return cause_nats is None
+    return gain_nats < cause_nats / EXPLAINED_SHARE + MIN_GAIN_NATS * force_dispersion(point)
+
+
+def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tuple[Background | None, float]:
+    """The background that explains the spectra of a record, and the nats that it gains; None where the model does.
+
+    Effects are not considered.
 
     Parameters
     ----------
@@ -75,23 +107,21 @@ def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> Back
         The search would do more.
     """
     if point.data.measured_force or not np.all(point.kL > 0.0):
-        return None
+        return None, 0.0
     at: dict[str, BearingBackground] = {}
+    gain_nats = 0.0
     for places in caps_by_direction(point.data.places):
-        at |= _of_direction(model, point, places, work)
-    return Background(at=at) if at else None
-
-
-def caps_by_direction(places: Sequence[str]) -> list[tuple[int, ...]]:
-    """Indices of the places of each direction, such as "bearing1.x" and "bearing2.x": these caps respond together."""
-    directions = dict.fromkeys(place[-1] for place in places)
-    return [tuple(i for i, place in enumerate(places) if place[-1] == direction) for direction in directions]
+        found, gained = _of_direction(model, point, places, work)
+        at, gain_nats = at | found, gain_nats + gained
+    return (Background(at=at) if at else None), gain_nats
 
 
 def _of_direction(
     model: Model, point: WorkingPoint, places: tuple[int, ...], work: Work
-) -> dict[str, BearingBackground]:  # fmt: skip
-    """The background of the caps of one direction, by place; empty where the model explains their spectra."""
+) -> tuple[dict[str, BearingBackground], float]:
+    """The background of the caps of one direction, by place, and the nats that it gains; none where the model explains
+    their spectra.
+    """
     problem = replace(spectral_problem(model, point, measured_spectra(model, point, places)), work=work)
     least = MIN_GAIN_NATS * force_dispersion(point)
     try:
@@ -102,130 +132,13 @@ def _of_direction(
             first, found = None, without_idle_modes(problem, found, least)
         problem, found = search_background(problem, found, least)
     except np.linalg.LinAlgError:
-        return {}
-    if first is not None and found.log_likelihood - first.log_likelihood < least:
-        return {}
-    if float(problem.misfit(found).max()) > MAX_MISFIT:
-        return {}
-    return dict(backgrounds(problem, found, point))
-
-
-def measured_spectra(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> CrossSpectra:
-    """The spectral matrices of the caps at some places: of the measured velocity, or of the residual force of laws.
-
-    Where laws act, the residual force and the linearised rotor give the spectra without the harmonics of the laws.
-    """
-    if point.placed or point.data.background is not None:
-        return cross_spectra(
-            point.data, point.force, places, lambda f_hz: _acceleration_per_force(model, point, places, f_hz)
-        )
-
-    def acceleration_per_velocity(f_hz: Array) -> Complexes:
-        return np.asarray(2j * np.pi * f_hz[:, None, None] * np.eye(len(places)), np.complex128)
-
-    return cross_spectra(point.data, point.data.v, places, acceleration_per_velocity)
-
-
-def spectral_problem(
-    model: Model, point: WorkingPoint, spectra: CrossSpectra, channel_of: tuple[int, ...] | None = None,
-    loose: tuple[int, ...] = (),
-) -> JointSpectrum:  # fmt: skip
-    """The spectral problem of the caps of one direction at the mean tangents of a working point.
-
-    channel_of : by place, the place whose channel is there in truth, and with it the tangents; None: its own.
-    loose : numbers of the caps among those of the spectra whose mass is fitted.
-    """
-    data, own = point.data, list(spectra.places)
-    tangents_of = own if channel_of is None else [channel_of[i] for i in own]
-    s = 2j * np.pi * spectra.f_hz
-    across = point.mean_tangent[own][:, own] * (1.0 - np.eye(len(own)))[..., None]
-    shaft = _shaft_at(model, point, own, spectra.f_hz)
-    Z0 = shaft - _inertia(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
-    laws = _law_response(point, spectra.f_hz)[:, tangents_of]
-    shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
-    mass = cap_masses(model, point)[own]
-    _, c = sound_stiffness_and_damping(point)
-    damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
-    return JointSpectrum(
-        spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
-    )  # fmt: skip
-
-
-def cap_masses(model: Model, point: WorkingPoint) -> Array:
-    """(places,) kg of the caps; of the working point where the model has none."""
-    data = point.data
-    return np.array([model.cap_mass(place) or data.mass[i] for i, place in enumerate(data.places)])
-
-
-def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int, ...], f_hz: Array) -> Complexes:
-    """(f, caps, caps) 1/kg, acceleration of the caps at some places per force there, of the linearised rotor."""
-    data, own, s = point.data, list(places), 2j * np.pi * f_hz
-    D = point.mean_tangent[own][:, own]
-    bearings = D[..., 0] + s[:, None, None] * D[..., 1]
-    np.einsum("fii->fi", bearings)[...] = point.kL[own] + s[:, None] * point.c[own] + _law_response(point, f_hz)[:, own]
-    Z = _shaft_at(model, point, own, f_hz) - _inertia(model, point, own, f_hz)
-    if data.background is not None:
-        bearings *= data.background.deflections(data.places, s)[:, None, own]
-        np.einsum("fii->fi", Z)[...] += data.background.attached_stiffness(data.places, s)[:, own]
-    return np.asarray((s * s)[:, None, None] * np.linalg.inv(Z + bearings), np.complex128)
-
-
-def _shaft_at(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
-    """(f, caps, caps) N/m, dynamic stiffness of shaft and disc at some places."""
-    return np.asarray(shaft_response(model, point.data.places, f_hz)[:, own][:, :, own], np.complex128)
-
-
-def _inertia(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Array:
-    """(f, caps, caps) N/m, inertia force of the caps at some places per displacement."""
-    return np.asarray(((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(cap_masses(model, point)[own]), np.float64)
-
-
-def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
-    """(f, places) N/m, mean response of the laws at each place to the deflection of its bearing, without kL and c."""
-    data, s = point.data, 2j * np.pi * point.data.f_hz
-    total = -(s * s)[:, None] * (data.mass - np.einsum("fii->fi", point.A)) - np.einsum("fii->fi", data.shaft)
-    if data.background is not None:
-        total = total / data.background.deflections(data.places, s)
-    laws = (total - point.kL - s[:, None] * point.c).T
-    return np.array([np.interp(f_hz, data.f_hz, z.real) + 1j * np.interp(f_hz, data.f_hz, z.imag) for z in laws]).T
-
-
-def sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
-    """(places,) N/m and N s/m, of the fit, but a stiffness above zero, and a damping of 0.1 % of critical at least."""
-    k = np.maximum(point.kL, MIN_STIFFNESS_REL * np.abs(point.kL).max())
-    return k, np.maximum(point.c, 2e-3 * np.sqrt(k * point.data.mass))
-
-
-def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
-    """Values of the fitted model."""
-    own = list(problem.spectra.places)
-    least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
-    return JointValues(
-        force=np.log(point.S[own])[:, None] * problem.flat,
-        noise=np.log(np.maximum((point.nu * point.S)[own], least)),
-        stiffness=np.log(sound_stiffness_and_damping(point)[0][own]),
-        damping=problem.damping0.copy(),
-    )
-
-
-def with_known_background(
-    problem: JointSpectrum, point: WorkingPoint, known: Background | None
-) -> tuple[JointSpectrum, JointPoint] | None:
-    """The problem and its point from a fitted model and a background; None where no cap has one."""
-    own = {c: point.data.places[i] for c, i in enumerate(problem.spectra.places)}
-    there = {} if known is None else {c: b for c, p in own.items() if (b := known.at.get(p))}
-    if not there:
-        return None
-    octaves, fall = min(b.knot_octaves for b in there.values()), max(b.fall_power for b in there.values())
-    problem = replace(problem, octaves=octaves, fall_power=fall)
-    values = start_values(problem, point)
-    for cap, background in there.items():
-        ln_psd = np.log(background.force_shape(problem.spectra.f_hz))
-        values.force[cap] += np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0]
-        for m in background.modes:
-            q = np.log([m.frequency_hz, m.damping, m.mass / problem.mass[cap]])
-            values = values.with_mode(ModePlace(cap, m.form), q)
-    return problem, problem.maximised(values)
+        return {}, 0.0
+    gained = least if first is None else found.log_likelihood - first.log_likelihood
+    if gained < least or float(problem.misfit(found).max()) > MAX_BACKGROUND_DEPTH_RMS:
+        return {}, 0.0
+    if not _resonates(problem, found):
+        return {}, 0.0
+    return dict(backgrounds(problem, found, point)), gained
 
 
 def search_background(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
@@ -235,6 +148,17 @@ def search_background(problem: JointSpectrum, point: JointPoint, least: float) -
     """
     if float(problem.misfit(point).max()) < MIN_UNKNOWN_DEPTH_RMS:
         return problem, point
+    while True:
+        problem, point = _with_more(problem, point, least)
+        other = _in_likelier_forms(problem, point, least)
+        changed = _score(other, least) - _score(point, least) > least
+        point = without_idle_modes(problem, other, least)
+        if not changed:
+            return problem, point
+
+
+def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
+    """The likeliest problem and point, modes and knots added while they gain `least` nats."""
     octaves = [o for o in KNOT_OCTAVES if _least_octaves(problem, point) <= o < problem.octaves]
     while len(point.values.modes) < MAX_MODES_PER_CAP * problem.mass.size:
         tried = list(_tried_modes(problem, point))
@@ -242,35 +166,103 @@ def search_background(problem: JointSpectrum, point: JointPoint, least: float) -
         if problem.fall_power == 0 and _resonates_low(problem, point):
             finer += [replace(problem, fall_power=power) for power in FALL_POWERS]
         tried += [(other, tried_point(other, other.respaced(point.values, problem))) for other in finer]
-        there, best = max(tried, key=lambda one: one[1].log_likelihood, default=(problem, point))
+        sound = [one for one in tried if _resonates(*one)]
+        there, best = max(sound, key=lambda one: one[1].log_likelihood, default=(problem, point))
         best = there.maximised(best.values)
-        if best.log_likelihood - point.log_likelihood < least:
+        if best.log_likelihood - point.log_likelihood < least or not _resonates(there, best):
             break
         octaves = [o for o in octaves if o < there.octaves]
         problem, point = there, best
-    return problem, without_idle_modes(problem, _in_likelier_forms(problem, point), least)
+    return problem, point
 
 
-def _in_likelier_forms(problem: JointSpectrum, point: JointPoint) -> JointPoint:
-    """The point with each mode under the bearing or on the cap, whichever is likelier.
+def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
+    """The point with each mode under the bearing or on the cap, whichever is likelier, and all of a cap under it.
 
-    Both forms have the same dynamic stiffness near their frequency where M_support M_attached w0^4 = kL^2.
+    least : nats that a mode costs.
     """
-    for k, mode in enumerate(point.values.modes):
-        f, zeta, ratio = point.values.q[k]
-        ln_w0_squared = 2.0 * (np.log(2.0 * np.pi) + f)
-        stiffness = point.values.stiffness[mode.cap] - np.log(problem.mass[mode.cap]) - ln_w0_squared
-        other = ModePlace(mode.cap, "attached" if mode.form == "support" else "support")
-        limits = np.log(MASS_RATIO_LIMITS[other.form])
-        q = np.array([f, zeta, float(np.clip(2.0 * stiffness - ratio, *limits))])
-        flipped = problem.maximised(point.values.without_mode(k).with_mode(other, q))
-        if flipped.log_likelihood > point.log_likelihood:
-            order = [*range(k), len(point.values.modes) - 1, *range(k, len(point.values.modes) - 1)]
-            values = replace(
-                flipped.values, modes=tuple(flipped.values.modes[j] for j in order), q=flipped.values.q[order]
-            )
-            point = replace(flipped, values=values)
+    k = 0
+    while k < len(point.values.modes):
+        point = _likelier(problem, point, _in_other_form(problem, point.values, k), least)
+        k += 1
+    for cap in range(problem.mass.size):
+        own = [mode.form for mode in point.values.modes if mode.cap == cap]
+        if len(own) > 1 and "attached" in own:
+            with suppress(ModelError):
+                point = _likelier(problem, point, _all_under_bearing(problem, point.values, cap), least)
     return point
+
+
+def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, least: float) -> JointPoint:
+    """The point, or the one that is reached from other values if it is likelier and each bearing resonates there.
+
+    In its new form a mode may make another one idle.
+    """
+    found = problem.maximised(other)
+    if found.log_likelihood < point.log_likelihood - MAX_IDLE_MODES * least:
+        return point
+    if found.log_likelihood < point.log_likelihood:
+        found = without_idle_modes(problem, found, least)
+    return found if _resonates(problem, found) and _score(found, least) > _score(point, least) else point
+
+
+def _resonates(problem: JointSpectrum, point: JointPoint) -> bool:
+    """Whether each cap on its bearing, damped below critical, resonates below the upper edge of the band."""
+    f0 = _resonances_hz(problem, point)
+    zeta = np.exp(point.values.damping) / (4.0 * np.pi * f0 * problem.mass)
+    return bool(np.all((f0 < problem.spectra.f_hz[-1]) & (zeta < 1.0)))
+
+
+def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:
+    """(caps,) Hz, natural frequency of each cap on its bearing alone."""
+    return np.asarray(np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi))
+
+
+def _score(point: JointPoint, least: float) -> float:
+    """Nats of a point, less what its modes cost."""
+    return point.log_likelihood - least * len(point.values.modes)
+
+
+def _in_other_form(problem: JointSpectrum, values: JointValues, k: int) -> JointValues:
+    """Values with mode k under the bearing instead of on the cap, or on the cap instead of under the bearing.
+
+    To first order in damping both forms give the same motion of the cap where, of the attached form A and the support
+    form B, D_B = D_A + M_A (w_A^2 + 2 zeta_A w_A s), den_A = den_B + D_B / M_B and M_B M_A w_A^4 = kL_B^2.
+    """
+    cap, form = values.modes[k].cap, values.modes[k].form
+    f, zeta, ratio = np.exp(values.q[k])
+    kL, c = np.exp(values.stiffness[cap]), np.exp(values.damping[cap])
+    M, w2, damp = ratio * problem.mass[cap], (2.0 * np.pi * f) ** 2, 4.0 * np.pi * zeta * f
+    if form == "support":
+        new_w2, new_damp = w2 + kL / M, damp + c / M
+        new_mass = kL**2 / (M * new_w2**2)
+        new_kL, new_c = kL - new_mass * new_w2, c - new_mass * new_damp
+    else:
+        new_kL, new_c = kL + M * w2, c + M * damp
+        new_mass = new_kL**2 / (M * w2**2)
+        new_w2, new_damp = w2 - new_kL / new_mass, damp - new_c / new_mass
+    modes, q = list(values.modes), values.q.copy()
+    modes[k] = ModePlace(cap, "attached" if form == "support" else "support")
+    q[k] = _mode_values(problem, modes[k], np.sqrt(new_w2) / (2.0 * np.pi), 0.5 * new_damp / np.sqrt(new_w2), new_mass)
+    return replace(values.with_bearing(cap, new_kL, max(new_c, MIN_DAMPING_REL * c)), modes=tuple(modes), q=q)
+
+
+def _all_under_bearing(problem: JointSpectrum, values: JointValues, cap: int) -> JointValues:
+    """Values with all modes of a cap under its bearing. Raises ModelError where none are equivalent."""
+    own = [mode for at, mode in problem.modes(values) if at == cap]
+    kL, c, under = all_under_bearing(float(np.exp(values.stiffness[cap])), float(np.exp(values.damping[cap])), own)
+    place = ModePlace(cap, "support")
+    for k in reversed([k for k, mode in enumerate(values.modes) if mode.cap == cap]):
+        values = values.without_mode(k)
+    for mode in under:
+        values = values.with_mode(place, _mode_values(problem, place, mode.frequency_hz, mode.damping, mode.mass))
+    return values.with_bearing(cap, kL, c)
+
+
+def _mode_values(problem: JointSpectrum, place: ModePlace, f_hz: float, damping: float, mass: float) -> Array:
+    """(3,) values of a mode in logarithms, damping ratio and mass (kg) within their limits."""
+    ratio = np.clip(mass / problem.mass[place.cap], *MASS_RATIO_LIMITS[place.form])
+    return np.log([f_hz, np.clip(damping, *DAMPING_RATIO_LIMITS), ratio])
 
 
 def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
@@ -289,8 +281,7 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
 
 def _resonates_low(problem: JointSpectrum, point: JointPoint) -> bool:
     """Whether all bearings resonate so far below the upper edge of the band that a fall there is not theirs."""
-    hz = np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi)
-    return bool(hz.max() * MIN_EDGE_RATIO < problem.spectra.f_hz[-1])
+    return bool(_resonances_hz(problem, point).max() * MIN_EDGE_RATIO < problem.spectra.f_hz[-1])
 
 
 def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:

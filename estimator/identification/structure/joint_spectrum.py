@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 from scipy.interpolate import BSpline
 
-from estimator.arrays import Array, Complexes
+from estimator.arrays import Array, Complexes, products
 from estimator.model.background import ModeForm, StructuralMode
 
 from .cross_spectra import CrossSpectra, Work
@@ -34,7 +34,6 @@ MAX_STEP = 1.0  # of any parameter, in logarithms
 COHERENCE_CELLS = 40  # of about equal width in log frequency
 FIRST_COHERENCE_CELL = 8  # narrow cells in the first wide one
 SPLINE_DEGREE = 3
-ELEMENTS_PER_PRODUCT = 1 << 13  # of a matrix product that one thread makes
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +89,12 @@ class JointValues:
     def with_mode(self, mode: ModePlace, q: Array) -> JointValues:
         """The values with one more mode."""
         return replace(self, modes=(*self.modes, mode), q=np.vstack([self.q, q]))
+
+    def with_bearing(self, cap: int, stiffness: float, damping: float) -> JointValues:
+        """The values with another bearing at a cap. stiffness : N/m. damping : N s/m."""
+        all_stiffness, all_damping = self.stiffness.copy(), self.damping.copy()
+        all_stiffness[cap], all_damping[cap] = np.log(stiffness), np.log(damping)
+        return replace(self, stiffness=all_stiffness, damping=all_damping)
 
     def without_mode(self, k: int) -> JointValues:
         """The values without the k-th mode."""
@@ -381,12 +386,6 @@ class JointSpectrum:
 def _squared_ln_ratio(point: JointPoint) -> Array:
     """(cells, caps) squared ln(measured / model) of the whitened spectra."""
     return np.asarray(np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2)
-
-
-def products(J: Array) -> Array:
-    """(k, k) products of the rows of J (k, n), a part at a time: threads would wait longer than the sums take."""
-    parts = np.array_split(J, max(J.size // ELEMENTS_PER_PRODUCT, 1), axis=1)
-    return np.asarray(sum(part @ part.T for part in parts), np.float64)
 
 
 def _spline_basis(x: Array, octaves: float) -> Array:

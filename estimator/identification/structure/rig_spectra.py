@@ -16,21 +16,17 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .background_search import (
-    MIN_GAIN_NATS,
-    cap_masses,
-    caps_by_direction,
-    force_dispersion,
-    measured_spectra,
-    search_background,
-    spectral_problem,
-    start_values,
-    tried_point,
-    with_known_background,
-    without_idle_modes,
-)
+from .background_search import MIN_GAIN_NATS, force_dispersion, search_background, tried_point, without_idle_modes
 from .cross_spectra import CrossSpectra
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
+from .spectral_problem import (
+    cap_masses,
+    caps_by_direction,
+    measured_spectra,
+    spectral_problem,
+    start_values,
+    with_known_background,
+)
 
 EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
 
@@ -128,7 +124,7 @@ class RigSpectra:
             known = with_known_background(problem, self._point, background)
             start = known or self._plain(model, problem, self.as_given)
             out.append(search_background(*start, self.cost_nats))
-        return self._fit(out, self.as_given)
+        return self.without_idle_modes(self._fit(out, self.as_given))
 
     def searched(self, model: Model, channels: Arrangement, start: RigFit | None = None) -> RigFit:
         """The fit of a rig whose background is sought, from the fit of another rig or from none.

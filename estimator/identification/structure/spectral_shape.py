@@ -36,6 +36,7 @@ SHAPE_TOLERANCE_REL = 1e-6  # of a spectral shape of the model from flat
 NEGATIVE_MARGIN_SD = 3.0  # below zero, of a stiffness or damping that no bearing has
 MIN_NOISE_RATIO_TO_OTHERS = 6.0  # power of a faulty sensor's noise over that of its neighbours
 MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
+MAX_BACKGROUND_DEPTH_RMS = 0.23  # of what a background leaves, 1 dB: instruments have +-10 % (ISO 2954)
 
 
 def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
@@ -59,7 +60,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        least = MIN_UNKNOWN_DEPTH_RMS if data.background is not None else MIN_DEPTH_RMS
+        least = MAX_BACKGROUND_DEPTH_RMS if data.background is not None else MIN_DEPTH_RMS
         if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < least:
             continue
         shaped.add(i)
@@ -69,13 +70,21 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     return out + _find_shared_force(model, point)
 
 
-def spectra_are_explained(model: Model, point: WorkingPoint) -> bool:
-    """Whether no location has a spectral shape, or one cause of the catalogue explains all of them."""
+def nats_of_one_cause(model: Model, point: WorkingPoint) -> float | None:
+    """Nats that one cause of the catalogue gains if it explains the spectral shapes of all locations; 0 if none does.
+
+    None where no location has a spectral shape.
+    """
     found = find_spectral_shapes(model, point)
     shaped = {place for f in found for place in f.power_N2 if is_cause_of_spectrum(f.effect)}
-    full = [f for f in found if f.explained_share > EXPLAINED_SHARE]
-    explained = [{p for f in full if f.effect == effect for p in f.power_N2} for effect in {f.effect for f in full}]
-    return not shaped or any(own >= shaped for own in explained)
+    if not shaped:
+        return None
+    gains = [0.0]
+    for effect in {f.effect for f in found}:
+        own = [f for f in found if f.effect == effect and f.explained_share > EXPLAINED_SHARE]
+        if {place for f in own for place in f.power_N2} >= shaped:
+            gains.append(sum(f.gain_nats for f in own))
+    return max(gains)
 
 
 def _shape_findings(

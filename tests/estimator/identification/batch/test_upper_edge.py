@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from numpy.typing import NDArray
 
 from estimator import fit
-from estimator.identification.structure.upper_edge import aliasing_message, common_fall_db
+from estimator.identification.batch.upper_edge import aliasing_message, common_fall_db
 from estimator.model import AntiAlias, Model
 from estimator.simulation.simulator import simulate
 

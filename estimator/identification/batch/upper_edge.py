@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.identification.structure.spectral_cells import cells_of
+from estimator.identification.structure.spectral_models import base_model
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Message
-
-from .spectral_cells import cells_of
-from .spectral_models import base_model
 
 FALL_POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, in the nepers of a common fall of any form
 ABOVE_RESONANCE_REL = 2.0  # frequency over the highest resonance from where laws and damping shape the force no more

@@ -1,0 +1,144 @@
+"""The spectral problem of the caps of one direction at a fitted model: spectra, dynamic stiffness, start values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.background import Background
+from estimator.model.rig import Model
+
+from .cross_spectra import CrossSpectra, cross_spectra
+from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
+
+MIN_STIFFNESS_REL = 1e-3  # of the stiffest bearing, for a start where a fit is far from the rotor
+START_NOISE_REL = 1e-4  # of the least PSD
+
+
+def caps_by_direction(places: Sequence[str]) -> list[tuple[int, ...]]:
+    """Indices of the places of each direction, such as "bearing1.x" and "bearing2.x": these caps respond together."""
+    directions = dict.fromkeys(place[-1] for place in places)
+    return [tuple(i for i, place in enumerate(places) if place[-1] == direction) for direction in directions]
+
+
+def measured_spectra(model: Model, point: WorkingPoint, places: tuple[int, ...]) -> CrossSpectra:
+    """The spectral matrices of the caps at some places: of the measured velocity, or of the residual force of laws.
+
+    Where laws act, the residual force and the linearised rotor give the spectra without the harmonics of the laws.
+    """
+    if point.placed or point.data.background is not None:
+        return cross_spectra(
+            point.data, point.force, places, lambda f_hz: _acceleration_per_force(model, point, places, f_hz)
+        )
+
+    def acceleration_per_velocity(f_hz: Array) -> Complexes:
+        return np.asarray(2j * np.pi * f_hz[:, None, None] * np.eye(len(places)), np.complex128)
+
+    return cross_spectra(point.data, point.data.v, places, acceleration_per_velocity)
+
+
+def spectral_problem(
+    model: Model, point: WorkingPoint, spectra: CrossSpectra, channel_of: tuple[int, ...] | None = None,
+    loose: tuple[int, ...] = (),
+) -> JointSpectrum:  # fmt: skip
+    """The spectral problem of the caps of one direction at the mean tangents of a working point.
+
+    channel_of : by place, the place whose channel is there in truth, and with it the tangents; None: its own.
+    loose : numbers of the caps among those of the spectra whose mass is fitted.
+    """
+    data, own = point.data, list(spectra.places)
+    tangents_of = own if channel_of is None else [channel_of[i] for i in own]
+    s = 2j * np.pi * spectra.f_hz
+    across = point.mean_tangent[own][:, own] * (1.0 - np.eye(len(own)))[..., None]
+    shaft = _shaft_at(model, point, own, spectra.f_hz)
+    Z0 = shaft - _inertia(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
+    laws = _law_response(point, spectra.f_hz)[:, tangents_of]
+    shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
+    mass = cap_masses(model, point)[own]
+    _, c = sound_stiffness_and_damping(point)
+    damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
+    return JointSpectrum(
+        spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
+    )  # fmt: skip
+
+
+def cap_masses(model: Model, point: WorkingPoint) -> Array:
+    """(places,) kg of the caps; of the working point where the model has none."""
+    data = point.data
+    return np.array([model.cap_mass(place) or data.mass[i] for i, place in enumerate(data.places)])
+
+
+def _acceleration_per_force(model: Model, point: WorkingPoint, places: tuple[int, ...], f_hz: Array) -> Complexes:
+    """(f, caps, caps) 1/kg, acceleration of the caps at some places per force there, of the linearised rotor."""
+    data, own, s = point.data, list(places), 2j * np.pi * f_hz
+    D = point.mean_tangent[own][:, own]
+    bearings = D[..., 0] + s[:, None, None] * D[..., 1]
+    np.einsum("fii->fi", bearings)[...] = point.kL[own] + s[:, None] * point.c[own] + _law_response(point, f_hz)[:, own]
+    Z = _shaft_at(model, point, own, f_hz) - _inertia(model, point, own, f_hz)
+    if data.background is not None:
+        bearings *= data.background.deflections(data.places, s)[:, None, own]
+        np.einsum("fii->fi", Z)[...] += data.background.attached_stiffness(data.places, s)[:, own]
+    return np.asarray((s * s)[:, None, None] * np.linalg.inv(Z + bearings), np.complex128)
+
+
+def _shaft_at(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Complexes:
+    """(f, caps, caps) N/m, dynamic stiffness of shaft and disc at some places."""
+    return np.asarray(shaft_response(model, point.data.places, f_hz)[:, own][:, :, own], np.complex128)
+
+
+def _inertia(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> Array:
+    """(f, caps, caps) N/m, inertia force of the caps at some places per displacement."""
+    return np.asarray(((2.0 * np.pi * f_hz) ** 2)[:, None, None] * np.diag(cap_masses(model, point)[own]), np.float64)
+
+
+def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
+    """(f, places) N/m, mean response of the laws at each place to the deflection of its bearing, without kL and c."""
+    data, s = point.data, 2j * np.pi * point.data.f_hz
+    total = -(s * s)[:, None] * (data.mass - np.einsum("fii->fi", point.A)) - np.einsum("fii->fi", data.shaft)
+    if data.background is not None:
+        total = total / data.background.deflections(data.places, s)
+    laws = (total - point.kL - s[:, None] * point.c).T
+    return np.array([np.interp(f_hz, data.f_hz, z.real) + 1j * np.interp(f_hz, data.f_hz, z.imag) for z in laws]).T
+
+
+def sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
+    """(places,) N/m and N s/m, of the fit, but a stiffness above zero, and a damping of 0.1 % of critical at least."""
+    k = np.maximum(point.kL, MIN_STIFFNESS_REL * np.abs(point.kL).max())
+    return k, np.maximum(point.c, 2e-3 * np.sqrt(k * point.data.mass))
+
+
+def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
+    """Values of the fitted model."""
+    own = list(problem.spectra.places)
+    least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
+    return JointValues(
+        force=np.log(point.S[own])[:, None] * problem.flat,
+        noise=np.log(np.maximum((point.nu * point.S)[own], least)),
+        stiffness=np.log(sound_stiffness_and_damping(point)[0][own]),
+        damping=problem.damping0.copy(),
+    )
+
+
+def with_known_background(
+    problem: JointSpectrum, point: WorkingPoint, known: Background | None
+) -> tuple[JointSpectrum, JointPoint] | None:
+    """The problem and its point from a fitted model and a background; None where no cap has one."""
+    own = {c: point.data.places[i] for c, i in enumerate(problem.spectra.places)}
+    there = {} if known is None else {c: b for c, p in own.items() if (b := known.at.get(p))}
+    if not there:
+        return None
+    octaves, fall = min(b.knot_octaves for b in there.values()), max(b.fall_power for b in there.values())
+    problem = replace(problem, octaves=octaves, fall_power=fall)
+    values = start_values(problem, point)
+    for cap, background in there.items():
+        ln_psd = np.log(background.force_shape(problem.spectra.f_hz))
+        values.force[cap] += np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0]
+        for m in background.modes:
+            q = np.log([m.frequency_hz, m.damping, m.mass / problem.mass[cap]])
+            values = values.with_mode(ModePlace(cap, m.form), q)
+    return problem, problem.maximised(values)
