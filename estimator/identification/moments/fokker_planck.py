@@ -29,10 +29,8 @@ from estimator.errors import DataError
 from estimator.model.rig import Model
 from estimator.results import Fit, Message, Parameter
 
-from .planes import Cap, Plane, ignored_effects, planes_of
-from .score_matching import density_motion, place_columns
-from .stationary import density_messages, softening_message
-from .synchronous import synchronous_message
+from .planes import Plane
+from .score_matching import density_fit
 
 Form = Literal["midpoint", "response"]
 BOOTSTRAP_BLOCKS = 64  # of the record, drawn with replacement
@@ -300,37 +298,18 @@ def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "resp
     Raises DataError if too few rows are valid, a channel is constant or no resonance is in the
     band.
     """
-    x, v, valid = density_motion(model, y, rate_hz)
-    found: dict[str, Parameter] = {}
-    notes: list[Message] = []
-    for plane in planes_of(model):
-        columns = place_columns(model, plane.direction)
-        here, speed = x[valid][:, columns], v[valid][:, columns]
-        values, covariance = fokker_planck_parameters(plane, here, speed, form, replicates)
+
+    def parameters(plane: Plane, x: Array, v: Array) -> tuple[dict[str, Parameter], list[Message]]:
+        values, covariance = fokker_planck_parameters(plane, x, v, form, replicates)
         sds = np.sqrt(np.diag(covariance))
-        found |= plane.judged({n: (values[n], float(sd)) for n, sd in zip(values, sds, strict=True)})
-        notes += density_messages(plane, here, speed) + softening_message(plane, found, speed)
-        notes += _assumption_messages(plane)
-    for k, place in enumerate(model.places):
-        notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
-    ignored = ignored_effects(model)
-    if ignored:
-        text = f"fokker-planck fits only powers of the displacement; left out: {', '.join(ignored)}"
-        notes.append(Message("effects_ignored", text))
-    return Fit(
-        parameters=found,
-        log_likelihood=None,
-        samples=int(valid.sum()),
-        method="fokker-planck",
-        messages=tuple(dict.fromkeys(notes)),
-    )
+        found = plane.judged({n: (values[n], float(sd)) for n, sd in zip(values, sds, strict=True)})
+        return found, _assumption_messages(plane)
+
+    return density_fit(model, y, rate_hz, "fokker-planck", parameters)
 
 
 def _assumption_messages(plane: Plane) -> list[Message]:
-    def unknown(cap: Cap) -> bool:
-        return cap.mass is None
-
-    if plane.scale_from_shaft and any(unknown(cap) for cap in plane.caps):
+    if plane.scale_from_shaft and not plane.masses_known:
         text = (
             f"direction {plane.direction}: the masses assume equal noise-to-damping ratios at the caps and no damping "
             "at the disc; 1 % of undriven disc damping can flip their sign, and the record cannot show it"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
 
 from .plane_moments import Form, PlaneMoments
-from .planes import density_band, ignored_effects, planes_of
+from .planes import Plane, density_band, ignored_effects, planes_of
 from .stationary import check_resonance, density_messages, softening_message
 from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
 
@@ -170,32 +171,40 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     form : estimating equation: "velocity" for records, "density" for independent samples.
     Raises DataError if too few rows are valid, a channel does not move, or no resonance is in the band.
     """
+
+    def parameters(plane: Plane, x: Array, v: Array) -> tuple[dict[str, Parameter], list[Message]]:
+        moments, size = PlaneMoments(plane, form), max(1, len(x) // FIT_BLOCKS)
+        for first in range(0, len(x), size):
+            moments.add(x[first : first + size], v[first : first + size])
+        return moments.parameters(), []
+
+    return density_fit(model, y, rate_hz, "score-matching", parameters)
+
+
+def density_fit(
+    model: Model, y: Array, rate_hz: float, method: str,
+    parameters: Callable[[Plane, Array, Array], tuple[dict[str, Parameter], list[Message]]],
+) -> Fit:  # fmt: skip
+    """The fit of a record by the stationary density, direction by direction, with what to say of it.
+
+    parameters : of a plane, from its displacements and velocities (n, caps), m and m/s, and messages.
+    """
     x, v, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[Message] = []
-    size = max(1, int(valid.sum()) // FIT_BLOCKS)
     for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
         here, speed = (z[valid][:, columns] for z in (x, v))
-        moments = PlaneMoments(plane, form)
-        for first in range(0, len(here), size):
-            part = slice(first, first + size)
-            moments.add(here[part], speed[part])
-        found |= moments.parameters()
-        notes += density_messages(plane, here, speed) + softening_message(plane, found, speed)
+        own, said = parameters(plane, here, speed)
+        found |= own
+        notes += density_messages(plane, here, speed) + softening_message(plane, found, speed) + said
     for k, place in enumerate(model.places):
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
-    ignored = ignored_effects(model)
-    if ignored:
-        text = f"score-matching fits only powers of the displacement; left out: {', '.join(ignored)}"
+    if ignored := ignored_effects(model):
+        text = f"{method} fits only powers of the displacement; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
-    return Fit(
-        parameters=found,
-        log_likelihood=None,
-        samples=int(valid.sum()),
-        method="score-matching",
-        messages=tuple(notes),
-    )
+    messages = tuple(dict.fromkeys(notes))
+    return Fit(parameters=found, log_likelihood=None, samples=int(valid.sum()), method=method, messages=messages)
 
 
 def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDArray[np.bool_]]:

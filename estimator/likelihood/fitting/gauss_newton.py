@@ -35,7 +35,6 @@ from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import out_of_band_sd
 
-from . import denoise_by_force
 from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
 
 FIRST_PART_S = 8.0  # part of a long record that the first rounds fit
@@ -114,12 +113,7 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
     nu : (places,) sensor noise over S. settled : whether the sensor noise has settled.
     """
     data = point.data
-    if data.measured_force:
-        calm, doubt = denoise_by_force.denoised_by_force(point, nu)
-        settled &= denoise_by_force.is_settled(point, calm)
-        data = replace(data, denoise_correction=calm, denoise_sd=doubt)
-    else:
-        data = data if settled else _denoised(data, nu, point.S)
+    data = data if settled else _denoised(data, nu, point.S)
     outside = _out_of_band_sd(point)
     if not np.allclose(outside, data.out_of_band_sd, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
         data, settled = replace(data, out_of_band_sd=outside), False
@@ -297,8 +291,8 @@ def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Arr
 
 
 def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
-    """The record with its denoised displacement; beside a measured force that is renewed by the force."""
-    found = None if data.measured_force else record_denoising_filter(data, nu, S)
+    """The record with its denoised displacement."""
+    found = record_denoising_filter(data, nu, S)
     if found is None:
         return replace(data, denoise_correction=None, denoise_sd=0.0)
     return replace(data, denoise_correction=found.of(data.x, data.rate_hz).astype(np.float32), denoise_sd=found.doubt)

@@ -95,9 +95,8 @@ def test_and_a_cubic_as_it_rolls() -> None:
     assert np.mean(found) == pytest.approx(1.3e18, rel=3.0 * 0.08 / np.sqrt(12))
 
 
-def test_beside_a_measured_force_a_law_acts_along_the_likeliest_motion() -> None:
-    """Of a force that is heard well the displacement is known far better than of a noisy accelerometer. Along the
-    latter, with noise of 1 % of the displacement in power, kNL was 2 % too small, 52 standard deviations."""
+def test_beside_a_measured_force_laws_see_the_denoised_displacement() -> None:
+    """Along the noisy one, with noise of 1 % of the displacement in power, kNL was 2 % too small."""
     place, channels = PLACES[0], (Channel("a", "bearing1", "x"), Channel("f", "bearing1", "x", "force"))
     numbers = {"kL": 1e7, "c": 60.0, "S": 9e-5}, {"kNL": 3e18}
     linear, law = ({place: {name: Setting(z) for name, z in own.items()}} for own in numbers)
@@ -105,12 +104,6 @@ def test_beside_a_measured_force_a_law_acts_along_the_likeliest_motion() -> None
     y = simulate(replace(blank, linear=linear, effects=(EffectUse("cubic", law),)), RIG_RATE, 20.0, seed=5)
     noise = np.random.default_rng(0).normal(size=y.shape) * np.array([0.05, 0.002])
     whole = fit_all_effects(blank, y + noise, RIG_RATE)
-    data, clean = whole.point.data, motion_record(blank, y, RIG_RATE).x[0]
-    assert data.denoise_correction is not None
-    off = np.std(data.x[0] + data.denoise_correction[0] - clean)
-    assert off < 0.03 * np.std(data.x[0] - clean)
-    assert np.asarray(data.denoise_sd)[0, 0] == pytest.approx(off, rel=0.1)
+    assert whole.point.data.denoise_correction is not None
     for name, truth in (("kL", 1e7), ("c", 60.0), ("cubic.kNL", 3e18)):
-        found = whole.parameters[f"{place}.{name}"]
-        assert found.sd
-        assert found.value == pytest.approx(truth, abs=4 * found.sd)
+        assert whole.parameters[f"{place}.{name}"].value == pytest.approx(truth, rel=3e-3)
