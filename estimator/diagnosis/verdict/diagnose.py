@@ -34,6 +34,11 @@ from .signal_findings import (
 )
 
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
+ROTOR_UNTRIED = Message(
+    "rotor_untried",
+    "the matrices of the rotor, its nodes and masses are not on trial, and a mistake there looks like a law: hold the "
+    "modes that rotorscope check prints against a tap test before you believe one",
+)
 MAX_MESSAGES = 10  # more are not read
 
 
@@ -140,7 +145,8 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
         surroundings = tones_of_surroundings(layers.record, layers.machine)
         found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
-        return replace(found, messages=(*found.messages, *usable.messages, *whole.messages))
+        untried = (ROTOR_UNTRIED,) if model.rotor is not None and found.verdict != "complete" else ()
+        return replace(found, messages=(*untried, *found.messages, *usable.messages, *whole.messages))
 
     try:
         usable = judgeable_record(model, y, layers)

@@ -60,3 +60,4 @@ def test_an_imbalance_is_found_at_its_disc(disc: str) -> None:
     assert found.verdict == "imbalance"
     assert found.ranking[0].at == (disc,)
     assert found.ranking[0].parameters[f"{disc}.imbalance.a"].value == pytest.approx(3.0, abs=0.05)
+    assert "rotor_untried" in {message.code for message in found.messages}
