@@ -258,16 +258,14 @@ class RollingEstimator:
             return
         try:
             rows = np.concatenate(self._rows[-(self._wanted // self._block) :])
-            first = first_fit(self.model, self._whole, rows, self.rate_hz, self._block)
-            self._begin(first)
+            self._begin(first_fit(self.model, self._whole, rows, self.rate_hz, self._block))
         except (DataError, NotFiniteError, np.linalg.LinAlgError) as error:
             self._follower = None
             self._show_nothing(str(error))
 
     def _begin(self, first: FirstFit) -> None:
         """Follow the fit of the first seconds. Raises NotFiniteError."""
-        point = first.point
-        data = point.data
+        point, data = first.point, first.point.data
         if data.measured_force:  # along a motion that the force makes likely: not as samples arrive
             data = replace(data, denoise_correction=None, denoise_sd=0.0)
         denoised = bool(point.placed) and not data.measured_force
@@ -288,12 +286,11 @@ class RollingEstimator:
 
     def _advance(self, follower: Follower) -> None:
         """Take the pieces of motion that are complete, and renew the estimate."""
-        took = False
+        begun = self._next
         while self._next + self._piece + self._margin <= self._end:
-            took, fault = True, self._take_piece(follower, self._next)
-            self._fault = fault or self._fault
+            self._fault = self._take_piece(follower, self._next) or self._fault
             self._next += self._piece
-        if took:
+        if self._next > begun:
             self._renew(follower)
 
     def _take_piece(self, follower: Follower, first: int) -> str:
@@ -303,20 +300,19 @@ class RollingEstimator:
         if fault := self._standing(motion):
             return fault
         try:
-            data = self._record(follower, motion, self._margin)
-            if data is not None:
+            if (data := self._record(follower, motion)) is not None:
                 follower.take(data, bool(self.watch) and self._pieces % PIECES_PER_WATCH == 0)
                 self._pieces += 1
         except NotFiniteError as error:
             return str(error)
         return ""
 
-    def _record(self, follower: Follower, motion: BandLimitedMotion, margin: int) -> MotionRecord | None:
+    def _record(self, follower: Follower, motion: BandLimitedMotion) -> MotionRecord | None:
         """The valid blocks of some motion as a record; None without any, or while the tacho gives no speed."""
         phase = self._shaft.angle(motion.start, motion.start + motion.rows)
         if phase is None:
             return None
-        return piece_record(follower.anchor.data, self._first.model, motion, phase, self._calm, margin)
+        return piece_record(follower.anchor.data, self._first.model, motion, phase, self._calm, self._margin)
 
     def _standing(self, motion: BandLimitedMotion) -> str:
         """A status if a place does not move, else empty."""
@@ -327,9 +323,8 @@ class RollingEstimator:
         rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
         still = np.flatnonzero(rms <= MAX_STILL_RMS_REL * usual)
-        if not still.size:
-            return ""
-        return f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
+        place = self.model.places[still[0]] if still.size else ""
+        return f"{place} does not move in the band: check the sensor and the band" if place else ""
 
     def _renew(self, follower: Follower) -> None:
         """Renew the estimate, or show why there is none."""
@@ -386,7 +381,7 @@ class RollingEstimator:
         block, first = self._block, self._kept[0].start + self._margin
         rows = (self._end - self._margin - first) // block * block
         motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
-        data = self._record(follower, motion, self._margin)
+        data = self._record(follower, motion)
         if data is not None and data.blocks >= START_BLOCKS // 2:
             data = replace(data, fold=time_folds(data.blocks))
             follower.renew_anchor(data)

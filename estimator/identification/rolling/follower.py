@@ -187,7 +187,7 @@ class Follower:
         """Replace the slow memory by the fast one, and clear that of the candidates, which has no recent one."""
         self.slow.copy_from(self.fast)
         self.shared, self._changes_in_a_row = self.fast.n2, 0
-        self.watched.clear()
+        self.watched = Memory(keep=self.watched.keep)
         self.fit = None
         self._renew()
 

@@ -94,7 +94,3 @@ class Memory:
         for name in self.__slots__:
             if name != "keep":
                 setattr(self, name, getattr(other, name))
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self.copy_from(Memory(keep=self.keep))

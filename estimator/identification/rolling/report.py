@@ -78,7 +78,5 @@ def _without_lost_laws(follower: Follower, found: dict[str, Parameter]) -> dict[
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
     """The parameter, or the reason why it is not identifiable."""
     judged = Parameter.from_estimate(value, sd, unit)
-    if judged.identifiable:
-        return judged
     reason = f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record"
-    return Parameter(None, None, unit, identifiable=False, reason=reason)
+    return judged if judged.identifiable else replace(judged, reason=reason)
