@@ -15,14 +15,7 @@ from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.signals.band_limit import noise_shape
 
-from .excitation import (
-    MIN_LINE_REACH_BINS,
-    SIDELOBE_BINS,
-    TAPER_COUNT,
-    TAPER_EFFICIENCY,
-    first_of_cells,
-    sine_tapers,
-)
+from .excitation import TAPER_COUNT, TAPER_EFFICIENCY, beside_lines, first_of_cells, sine_tapers
 
 CELL_WIDTH_REL = 0.004  # of its frequency: a third of the half-power width of a mode of 0.6 % damping
 PIECES_PER_RECORD = 12  # that the spectra are averaged over, at least
@@ -91,7 +84,7 @@ def cross_spectra(
     """
     pieces, size = _pieces(data)
     f: Array = np.asarray(np.arange(size // 2 + 1) * (data.rate_hz / size), np.float64)
-    keep = np.flatnonzero(_judged(data, f))
+    keep = np.flatnonzero((f >= data.band[0]) & (f <= data.band[1]) & beside_lines(f, data.lines))
     S = np.zeros((keep.size, len(places), len(places)), np.complex128)
     for first in pieces:
         for taper in sine_tapers(size):
@@ -121,12 +114,3 @@ def _pieces(data: MotionRecord) -> tuple[list[int], int]:
         if len(first) * together >= data.blocks // 2 or together == 1:
             return [b * data.block for b in first], together * data.block
         together //= 2
-
-
-def _judged(data: MotionRecord, f: Array) -> Array:
-    """(bins,) whether a bin at f Hz is in the band and beside no line."""
-    inside = (f >= data.band[0]) & (f <= data.band[1])
-    for line in data.lines:
-        skirt = f[1] * (MIN_LINE_REACH_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
-        inside &= (f < line.low_hz - skirt) | (f > line.high_hz + skirt)
-    return np.asarray(inside)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
-from scipy.ndimage import median_filter
-from scipy.special import digamma, gammainccinv
 
 from estimator.arrays import Array
 from estimator.identification.machine.pieces import Pieces
+from estimator.model.rig import LineBand
 
 CELL_WIDTH_REL = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
 PIECES_PER_RECORD, SHORT_PIECES, SHORT_S = 8, 4, 10.0  # blocks of a record, and of one shorter than so many s
@@ -20,11 +19,8 @@ MIN_PIECE_S, MAX_PIECE_S = 0.05, 20.0  # of a block; a longer one resolves more 
 MAX_BLOCKS = 16  # that are kept apart
 TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
 TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
-LINE_REACH_BINS = 25  # on either side of a bin, for the median about it
 MIN_LINE_REACH_BINS, SIDELOBE_BINS = 3, 1.5  # a line reaches as far as its side lobes, which fall with the distance^4
-LINE_P_VALUE = 1e-4  # for all bins
 TOOTH_REACH_BINS, TOOTH_BLUR_REL = 2, 1e-3  # of a line of a strike train: of the tapers, and of slip
-MAX_STEADY_SPREAD_REL = 0.25  # of the spread of noise: p 0.04 of four pieces, 0.002 of eight
 KIND_ORDER = {"displacement": 2, "velocity": 1, "acceleration": 0}  # times j w to acceleration
 
 
@@ -61,7 +57,7 @@ def cell_spectrum(
     kind: str,
     rate_hz: float,
     band: tuple[float, float],
-    tones_hz: Sequence[float] = (),
+    lines: Sequence[LineBand] = (),
     trains_hz: Sequence[float] = (),
 ) -> CellSpectrum | None:
     """Spectrum of one channel in the band.
@@ -76,8 +72,8 @@ def cell_spectrum(
         Sampling rate, Hz.
     band : (float, float)
         Analysed band, Hz; it ends at 0.45 of the rate at the latest.
-    tones_hz : sequence of float
-        Frequencies of known tones.
+    lines : sequence of LineBand
+        Narrow lines of the channel, which are left out.
     trains_hz : sequence of float
         Strikes per second of known strike trains. All multiples are left out.
 
@@ -93,14 +89,12 @@ def cell_spectrum(
     high = min(band[1], 0.45 * rate_hz)
     if len(pieces) < 2 or band[0] * pieces.seconds < 4.0 or high < 1.2 * band[0]:
         return None
-    power, spread, blocks = _piece_spectra(pieces)
+    power, blocks = _piece_spectra(pieces)
     f = np.arange(power.size) / pieces.seconds
     inside = (f >= band[0]) & (f <= high)
     if not np.all(power[inside] > 0.0):
         return None
-    found = _lines(power, spread, len(pieces), f, tones_hz)
-    line = np.any([found, *(_teeth(f, train) for train in trains_hz)], axis=0)
-    keep = np.flatnonzero(inside & ~line)
+    keep = np.flatnonzero(np.all([inside, beside_lines(f, lines), *(~_teeth(f, train) for train in trains_hz)], axis=0))
     if keep.size < 32:
         return None
     first = first_of_cells(f[keep] / band[0], CELL_WIDTH_REL)
@@ -130,27 +124,19 @@ def sine_tapers(size: int) -> Array:
     return np.asarray(np.sqrt(2.0 / (size + 1)) * np.sin(np.pi * k * row / (size + 1)))
 
 
-def _piece_spectra(pieces: Pieces) -> tuple[Array, Array, Array]:
-    """(bins,) mean PSD over the pieces, (bins,) logarithm of the mean over the pieces less the mean of the logarithm,
-    averaged over the tapers, and (blocks, bins) PSD of up to sixteen groups of pieces."""
+def _piece_spectra(pieces: Pieces) -> tuple[Array, Array]:
+    """(bins,) mean PSD over the pieces, and (blocks, bins) PSD of up to sixteen groups of pieces."""
     tapers = sine_tapers(pieces.size)
     block_of = np.repeat(np.arange(MAX_BLOCKS), [len(g) for g in np.array_split(np.arange(len(pieces)), MAX_BLOCKS)])
     blocks = np.zeros((min(len(pieces), MAX_BLOCKS), pieces.size // 2 + 1))
     done = 0
-    logs = np.zeros(pieces.size // 2 + 1)
-    sums = np.zeros((TAPER_COUNT, pieces.size // 2 + 1))
     for group in pieces.groups():
-        for total, taper in zip(sums, tapers, strict=True):
+        for taper in tapers:
             X = rfft(group * taper, axis=1)
-            P = X.real**2 + X.imag**2
-            np.add.at(blocks, block_of[done : done + len(group)], P)
-            total += P.sum(axis=0)
-            logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
+            np.add.at(blocks, block_of[done : done + len(group)], X.real**2 + X.imag**2)
         done += len(group)
     blocks *= 2.0 / (pieces.rate_hz * TAPER_COUNT)
-    power = blocks.sum(axis=0) / len(pieces)
-    spread = np.log(np.maximum(sums / len(pieces), 1e-300)).mean(axis=0) - logs / (len(pieces) * TAPER_COUNT)
-    return power, spread, blocks / np.bincount(block_of)[:, None]
+    return blocks.sum(axis=0) / len(pieces), blocks / np.bincount(block_of)[:, None]
 
 
 def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
@@ -162,24 +148,10 @@ def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
     return np.asarray(teeth & (TOOTH_REACH_BINS * f[1] + TOOTH_BLUR_REL * f < 0.25 * train_hz))
 
 
-def _lines(power: Array, spread: Array, count: int, f: Array, tones_hz: Sequence[float]) -> NDArray[np.bool_]:
-    """(bins,) bins of tones: narrow peaks that are steady from piece to piece, or at the frequency of a known tone."""
-    floor = median_filter(power, 2 * LINE_REACH_BINS + 1, mode="nearest")
-    shape = count * TAPER_COUNT
-    limit = gammainccinv(shape, min(LINE_P_VALUE / power.size, 0.1)) / shape
-    high = power > 1.2 * limit * np.maximum(floor, 1e-300)  # the median of few bins is uncertain
-    noise_spread = float(digamma(count)) - np.log(count) + np.euler_gamma  # of exponential variables
-    steady = spread < MAX_STEADY_SPREAD_REL * noise_spread
-    known = np.zeros(power.size, dtype=bool)
-    for tone in tones_hz:
-        at = round(tone * (1.0 / f[1])) if tone < f[-1] else -1
-        if at >= 0:
-            known[max(at - 3, 0) : at + 4] = True
-    out = np.zeros(power.size, dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]])))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        top = a + int(np.argmax(power[a:b]))
-        reach = MIN_LINE_REACH_BINS + int(SIDELOBE_BINS * (power[top] / max(floor[top], 1e-300)) ** 0.25)
-        if top - a <= reach and b - top <= reach + 1 and (steady[top] or known[top]):
-            out[max(top - reach, 0) : top + reach + 1] = True
+def beside_lines(f: Array, lines: Sequence[LineBand]) -> NDArray[np.bool_]:
+    """(bins,) whether a bin at f Hz, evenly spaced, is beside all lines and their skirts under the tapers."""
+    out = np.ones(f.size, dtype=bool)
+    for line in lines:
+        skirt = f[1] * (MIN_LINE_REACH_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
+        out &= (f < line.low_hz - skirt) | (f > line.high_hz + skirt)
     return out

@@ -198,7 +198,7 @@ def survey_structure(
     record : RecordSurvey
         Findings of the record layer; unusable channels are left out.
     machine : MachineSurvey or None
-        Its tones and the lines of its strike trains are left out of the spectra.
+        Its narrow lines and those of its strike trains are left out of the spectra.
 
     Returns
     -------
@@ -209,7 +209,6 @@ def survey_structure(
     ----------
     Brillinger, Time Series, 1981, ch. 5; Bendat and Piersol, Random Data, 4th ed., ch. 6.
     """
-    tones = () if machine is None else tuple(tone.frequency_hz for tone in machine.tones)
     trains = () if machine is None else tuple(train.frequency_hz for train in machine.strikes)
     columns: dict[str, int] = {}
     for k, channel in enumerate(model.channels):
@@ -219,11 +218,13 @@ def survey_structure(
 
     def at(place: str) -> PlaceStructure | None:
         k = columns[place]
-        cells = cell_spectrum(y[:, k], model.channels[k].kind, rate_hz, model.band, tones, trains)
+        channel = model.channels[k]
+        lines = () if machine is None else machine.line_bands.get(channel.name, ())
+        cells = cell_spectrum(y[:, k], channel.kind, rate_hz, model.band, lines, trains)
         if cells is None:
             return None
         expected = expected_modes(model, place)
-        return _place(place, model.channels[k].name, cells, expected, place in forces)
+        return _place(place, channel.name, cells, expected, place in forces)
 
     found = dict(zip(columns, map_threads(at, list(columns)), strict=True)) if np.ndim(y) == 2 else {}
     missing = {place: "its channel is unusable: see the record" for place in model.places if place not in columns}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from estimator.arrays import Array
+from estimator.identification.machine import survey_machine
 from estimator.identification.record import RecordSurvey
 from estimator.identification.structure import StructureSurvey, bearing_mode, survey_structure
 from estimator.model.rig import Channel, Model
@@ -30,9 +30,9 @@ def response(modes: list[tuple[float, float, float]], seconds: float, seed: int,
     return np.asarray(out[:, None])
 
 
-def surveyed(y: Array, model: Model = CAP_RIG, tones: tuple[float, ...] = ()) -> StructureSurvey:
+def surveyed(y: Array, model: Model = CAP_RIG) -> StructureSurvey:
     """The survey of a record; its JSON is valid and numpy has nothing to warn of."""
-    machine = SimpleNamespace(tones=[SimpleNamespace(frequency_hz=f) for f in tones], strikes=[])
+    machine = survey_machine(model, y, RATE_HZ)
     with np.errstate(divide="raise", invalid="raise", over="raise"):
         survey = survey_structure(model, y, RATE_HZ, RecordSurvey(), machine)
     json.dumps(survey.to_json(), allow_nan=False)
@@ -70,7 +70,7 @@ def test_white_noise_and_tones_have_no_mode(seconds: float) -> None:
         assert not surveyed(y).modes
         t = np.arange(len(y))[:, None] / RATE_HZ
         y += sum(a * np.sin(2 * np.pi * f * t) for f, a in ((150.0, 5.0), (333.3, 1.0), (1000.0, 0.3)))
-        assert not surveyed(y, tones=(150.0, 333.3, 1000.0)).modes
+        assert not surveyed(y).modes
     assert "no clear resonance" in str(bearing_mode(surveyed(y), PLACE))
 
 
