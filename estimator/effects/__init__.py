@@ -39,39 +39,13 @@ from .places import places
 
 __all__ = ["CATALOGUE", "LINE_NAMES", "MORE_LINES", "NAMED", "found_by", "places"]
 
-CATALOGUE: dict[str, Effect] = {
-    "cubic": CUBIC,
-    "quintic": QUINTIC,
-    "quadratic": QUADRATIC,
-    "clearance": CLEARANCE,
-    "stop": STOP,
-    "hertz": HERTZ,
-    "coulomb": COULOMB,
-    "stribeck": STRIBECK,
-    "quadratic_damping": QUADRATIC_DAMPING,
-    "displacement_damping": DISPLACEMENT_DAMPING,
-    "bouc_wen": BOUC_WEN,
-    "imbalance": IMBALANCE,
-    "misalignment": MISALIGNMENT,
-    "bow": BOW,
-    "ball_pass": BALL_PASS,
-    "local_defect": LOCAL_DEFECT,
-    "crack": CRACK,
-    "rub": RUB,
-    "cross_coupling": CROSS_COUPLING,
-    "anisotropy": ANISOTROPY,
-    "gyroscopic": GYROSCOPIC,
-    "pedestal": PEDESTAL,
-    "stiffness_drift": STIFFNESS_DRIFT,
-    "correlated_force": CORRELATED_FORCE,
-    "coloured_excitation": COLOURED_EXCITATION,
-    "line": LINE,
-    "sensor_gain": SENSOR_GAIN,
-    "sensor_clipping": SENSOR_CLIPPING,
-    "sensor_skew": SENSOR_SKEW,
-    "sensor_resonance": SENSOR_RESONANCE,
-    "sensor_noise": SENSOR_NOISE,
-}
+_CATALOGUE_EFFECTS = (
+    CUBIC, QUINTIC, QUADRATIC, CLEARANCE, STOP, HERTZ, COULOMB, STRIBECK, QUADRATIC_DAMPING, DISPLACEMENT_DAMPING,
+    BOUC_WEN, IMBALANCE, MISALIGNMENT, BOW, BALL_PASS, LOCAL_DEFECT, CRACK, RUB, CROSS_COUPLING, ANISOTROPY,
+    GYROSCOPIC, PEDESTAL, STIFFNESS_DRIFT, CORRELATED_FORCE, COLOURED_EXCITATION, LINE, SENSOR_GAIN,
+    SENSOR_CLIPPING, SENSOR_SKEW, SENSOR_RESONANCE, SENSOR_NOISE,
+)  # fmt: skip
+CATALOGUE: dict[str, Effect] = {effect.name: effect for effect in _CATALOGUE_EFFECTS}
 
 MORE_LINES = {f"line_{k}": replace(LINE, name=f"line_{k}") for k in range(2, 10)}  # a place may have more than one
 LINE_NAMES = (LINE.name, *MORE_LINES)

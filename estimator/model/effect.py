@@ -73,6 +73,14 @@ def amplitude(
     )  # fmt: skip
 
 
+def searched(
+    name: str, unit: str, description: str, span: tuple[float, float, float], *, scale: str = "1", given: bool = False
+) -> EffectParameter:
+    """A parameter that the law is not proportional to. span : its limits and usual value, in multiples of `scale`."""
+    low, high, default = span
+    return EffectParameter(name, unit, low, high, default=default, description=description, scale=scale, given=given)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """A physical effect or fault, and all that is known of it. Texts are printed by `rotorscope effects NAME`.

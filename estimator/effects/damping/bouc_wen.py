@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def rates(
@@ -22,15 +22,7 @@ BOUC_WEN = Effect(
     kind="memory",
     parameters=(
         amplitude("k", "N/m", "stiffness of the hysteretic branch before it slips"),
-        EffectParameter(
-            name="slip",
-            unit="m",
-            low=0.1,
-            high=8.0,
-            default=1.0,
-            description="deflection of that branch at which it slips",
-            scale="x",
-        ),
+        searched("slip", "m", "deflection of that branch at which it slips", (0.1, 8.0, 1.0), scale="x"),
     ),
     equation="k z,  dz/dt = v - (|v| z + v |z|) / (2 slip)",
     signature=(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -26,14 +26,8 @@ STRIBECK = Effect(
     parameters=(
         amplitude("fc", "N", "friction force at high sliding velocity"),
         amplitude("df", "N", "excess of static over sliding friction, fs - fc"),
-        EffectParameter(
-            name="vs",
-            unit="m/s",
-            low=1e-5,
-            high=1.0,
-            default=5e-4,
-            description="velocity over which the excess falls off; given, not fitted",
-            given=True,
+        searched(
+            "vs", "m/s", "velocity over which the excess falls off; given, not fitted", (1e-5, 1.0, 5e-4), given=True
         ),
     ),
     equation="(fc + df exp(-(v / vs)^2)) sgn v",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def shape(f_hz: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.float64]:
@@ -19,23 +19,8 @@ COLOURED_EXCITATION = Effect(
     name="coloured_excitation",
     kind="excitation",
     parameters=(
-        EffectParameter(
-            name="gain",
-            unit="1",
-            low=-0.98,
-            high=1000.0,
-            default=3.0,
-            description="excess of S at low frequency over that at high frequency",
-        ),
-        EffectParameter(
-            name="corner",
-            unit="Hz",
-            low=0.05,
-            high=8.0,
-            default=0.7,
-            description="frequency at which half of the excess is gone",
-            scale="hz_peak",
-        ),
+        searched("gain", "1", "excess of S at low frequency over that at high frequency", (-0.98, 1000.0, 3.0)),
+        searched("corner", "Hz", "frequency at which half of the excess is gone", (0.05, 8.0, 0.7), scale="hz_peak"),
     ),
     equation="S(f) = S (1 + gain / (1 + (f / corner)^2))",
     signature=(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def shape(f_hz: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.float64]:
@@ -19,14 +19,7 @@ CORRELATED_FORCE = Effect(
     name="correlated_force",
     kind="excitation",
     parameters=(
-        EffectParameter(
-            name="rho",
-            unit="1",
-            low=-0.99,
-            high=0.99,
-            default=0.5,
-            description="correlation of the forces on both bearings in this direction",
-        ),
+        searched("rho", "1", "correlation of the forces on both bearings in this direction", (-0.99, 0.99, 0.5)),
     ),
     equation="cross spectrum of the forces = rho sqrt(S1 S2)",
     signature=(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,15 +19,7 @@ LINE = Effect(
     parameters=(
         amplitude("a", "N", "force in phase with the cosine of time", signed=True),
         amplitude("b", "N", "force in phase with the sine of time", signed=True),
-        EffectParameter(
-            name="frequency",
-            unit="Hz",
-            low=0.01,
-            high=20.0,
-            default=0.7,
-            description="frequency, which does not follow the shaft",
-            scale="hz_peak",
-        ),
+        searched("frequency", "Hz", "frequency, which does not follow the shaft", (0.01, 20.0, 0.7), scale="hz_peak"),
     ),
     equation="force on the cap a cos(2 pi f t) + b sin(2 pi f t)",
     signature="one narrow line that stays put when the speed changes",

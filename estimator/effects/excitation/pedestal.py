@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import MutableSequence, Sequence
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def rates(
@@ -25,32 +25,9 @@ PEDESTAL = Effect(
     name="pedestal",
     kind="memory",
     parameters=(
-        EffectParameter(
-            name="mass",
-            unit="kg",
-            low=0.1,
-            high=20.0,
-            default=2.0,
-            description="moving mass of the pedestal",
-            scale="m",
-        ),
-        EffectParameter(
-            name="frequency",
-            unit="Hz",
-            low=0.1,
-            high=6.0,
-            default=1.8,
-            description="natural frequency of the pedestal alone",
-            scale="hz_peak",
-        ),
-        EffectParameter(
-            name="damping",
-            unit="1",
-            low=0.002,
-            high=0.7,
-            default=0.05,
-            description="damping ratio of the pedestal alone",
-        ),
+        searched("mass", "kg", "moving mass of the pedestal", (0.1, 20.0, 2.0), scale="m"),
+        searched("frequency", "Hz", "natural frequency of the pedestal alone", (0.1, 6.0, 1.8), scale="hz_peak"),
+        searched("damping", "1", "damping ratio of the pedestal alone", (0.002, 0.7, 0.05)),
     ),
     equation=(
         "-kL z - c z',  mass z'' = kL (x - z) + c (v - z') - mass w^2 z - 2 damping mass w z',  w = 2 pi frequency"

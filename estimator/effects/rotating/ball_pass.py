@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,13 +19,11 @@ BALL_PASS = Effect(
     parameters=(
         amplitude("k_cos", "N/m", "modulation of stiffness in phase with the cosine", signed=True),
         amplitude("k_sin", "N/m", "modulation of stiffness in phase with the sine", signed=True),
-        EffectParameter(
-            name="order",
-            unit="1",
-            low=0.3,
-            high=30.0,
-            default=2.1,
-            description="ball passes per shaft turn; from the record if it shows one, or the geometry (BPFO)",
+        searched(
+            "order",
+            "1",
+            "ball passes per shaft turn; from the record if it shows one, or the geometry (BPFO)",
+            (0.3, 30.0, 2.1),
             scale="bpfo",
         ),
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -19,31 +19,13 @@ LOCAL_DEFECT = Effect(
     kind="force",
     parameters=(
         amplitude("strike", "N", "peak force of a strike", signed=True),
-        EffectParameter(
-            name="order",
-            unit="1",
-            low=0.3,
-            high=30.0,
-            default=2.1,
-            description="strikes per shaft turn: BPFO, BPFI or twice BSF",
-            scale="bpfo",
-        ),
-        EffectParameter(
-            name="angle",
-            unit="rad",
-            low=0.0,
-            high=6.283185307179586,
-            default=0.0,
-            description="defect angle of the first strike",
-            scale="angle",
-        ),
-        EffectParameter(
-            name="width",
-            unit="rad",
-            low=0.005,
-            high=0.6,
-            default=0.05,
-            description="decay of a strike in defect angle, 2 pi from one strike to the next",
+        searched("order", "1", "strikes per shaft turn: BPFO, BPFI or twice BSF", (0.3, 30.0, 2.1), scale="bpfo"),
+        searched("angle", "rad", "defect angle of the first strike", (0.0, 6.283185307179586, 0.0), scale="angle"),
+        searched(
+            "width",
+            "rad",
+            "decay of a strike in defect angle, 2 pi from one strike to the next",
+            (0.005, 0.6, 0.05),
             scale="angle",
         ),
     ),

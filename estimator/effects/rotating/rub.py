@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -22,15 +22,7 @@ RUB = Effect(
     parameters=(
         amplitude("k", "N/m", "radial stiffness of the contact"),
         amplitude("kt", "N/m", "friction coefficient times k", share=0.2),
-        EffectParameter(
-            name="clearance",
-            unit="m",
-            low=0.3,
-            high=4.0,
-            default=1.5,
-            description="radius of the orbit at which it touches",
-            scale="x",
-        ),
+        searched("clearance", "m", "radius of the orbit at which it touches", (0.3, 4.0, 1.5), scale="x"),
     ),
     equation="(r - clearance)_+ / r (k x - kt y, k y + kt x),  r = hypot(x, y)",
     signature=(

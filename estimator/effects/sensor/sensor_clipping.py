@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -17,17 +17,7 @@ def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.ra
 SENSOR_CLIPPING = Effect(
     name="sensor_clipping",
     kind="sensor",
-    parameters=(
-        EffectParameter(
-            name="level",
-            unit="m/s^2",
-            low=0.3,
-            high=8.0,
-            default=2.5,
-            description="largest value that passes",
-            scale="a",
-        ),
-    ),
+    parameters=(searched("level", "m/s^2", "largest value that passes", (0.3, 8.0, 2.5), scale="a"),),
     equation="measured = true, limited to +-level",
     signature=(
         "values pile up at the ends of the range; kurtosis below 3 in that channel; odd harmonics over the whole band"

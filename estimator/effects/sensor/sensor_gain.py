@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -21,16 +21,7 @@ def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.c
 SENSOR_GAIN = Effect(
     name="sensor_gain",
     kind="sensor",
-    parameters=(
-        EffectParameter(
-            name="error",
-            unit="1",
-            low=-3.0,
-            high=9.0,
-            default=0.1,
-            description="relative error; -2 is an inverted channel",
-        ),
-    ),
+    parameters=(searched("error", "1", "relative error; -2 is an inverted channel", (-3.0, 9.0, 0.1)),),
     equation="measured = (1 + error) true",
     signature=(
         "one channel is too large or too small at all frequencies by the same factor; equal bearings look "

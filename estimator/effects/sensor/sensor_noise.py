@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -18,15 +18,7 @@ SENSOR_NOISE = Effect(
     name="sensor_noise",
     kind="sensor",
     parameters=(
-        EffectParameter(
-            name="rms",
-            unit="m/s^2",
-            low=0.001,
-            high=3.0,
-            default=0.1,
-            description="rms of white noise from 0 to half the sampling rate",
-            scale="a",
-        ),
+        searched("rms", "m/s^2", "rms of white noise from 0 to half the sampling rate", (0.001, 3.0, 0.1), scale="a"),
     ),
     equation="measured = true + white noise",
     signature=(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -33,10 +33,8 @@ SENSOR_RESONANCE = Effect(
     name="sensor_resonance",
     kind="sensor",
     parameters=(
-        EffectParameter(
-            name="frequency", unit="Hz", low=0.1, high=3.0, default=0.7, description="resonance", scale="band"
-        ),
-        EffectParameter(name="quality", unit="1", low=1.0, high=100.0, default=10.0, description="quality factor"),
+        searched("frequency", "Hz", "resonance", (0.1, 3.0, 0.7), scale="band"),
+        searched("quality", "1", "quality factor", (1.0, 100.0, 10.0)),
     ),
     equation="measured / true = 1 / (1 - (f / f0)^2 + i f / (f0 quality))",
     signature=(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.effect import Effect, EffectParameter
+from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -26,17 +26,7 @@ def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.c
 SENSOR_SKEW = Effect(
     name="sensor_skew",
     kind="sensor",
-    parameters=(
-        EffectParameter(
-            name="delay",
-            unit="s",
-            low=-10.0,
-            high=10.0,
-            default=1.0,
-            description="how late the channel is",
-            scale="sample",
-        ),
-    ),
+    parameters=(searched("delay", "s", "how late the channel is", (-10.0, 10.0, 1.0), scale="sample"),),
     equation="measured(t) = true(t - delay)",
     signature="phase between this channel and the others grows in proportion to frequency; amplitudes are right",
     confused_with=("cross_coupling", "gyroscopic", "pedestal"),

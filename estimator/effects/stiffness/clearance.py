@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -20,9 +20,7 @@ CLEARANCE = Effect(
     kind="force",
     parameters=(
         amplitude("k", "N/m", "stiffness added beyond the gap"),
-        EffectParameter(
-            name="gap", unit="m", low=0.02, high=4.0, default=1.0, description="half of the clearance", scale="x"
-        ),
+        searched("gap", "m", "half of the clearance", (0.02, 4.0, 1.0), scale="x"),
     ),
     equation="k (|x| - gap)_+ sgn x",
     signature=(

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 MOST_BALLS = 40
 _BALL_ANGLES = 2.0 * np.pi * np.arange(MOST_BALLS) / np.maximum(np.arange(MOST_BALLS + 1), 1)[:, None]
@@ -49,24 +49,9 @@ HERTZ = Effect(
     kind="force",
     parameters=(
         amplitude("k", "N/m^1.5", "load-deflection constant of one ball between both rings"),
-        EffectParameter(
-            name="preload",
-            unit="m",
-            low=-2.0,
-            high=10.0,
-            default=1.5,
-            description="radial preload of every ball; negative is clearance",
-            scale="x",
-        ),
-        EffectParameter(
-            name="balls",
-            unit="1",
-            low=3.0,
-            high=40.0,
-            default=6.0,
-            description="number of balls, one of them on the x axis",
-            scale="balls",
-            given=True,
+        searched("preload", "m", "radial preload of every ball; negative is clearance", (-2.0, 10.0, 1.5), scale="x"),
+        searched(
+            "balls", "1", "number of balls, one of them on the x axis", (3.0, 40.0, 6.0), scale="balls", given=True
         ),
     ),
     equation=(

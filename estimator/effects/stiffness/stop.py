@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, amplitude, searched
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
@@ -18,14 +18,8 @@ STOP = Effect(
     kind="force",
     parameters=(
         amplitude("k", "N/m", "stiffness of the stop"),
-        EffectParameter(
-            name="gap",
-            unit="m",
-            low=-4.0,
-            high=4.0,
-            default=1.0,
-            description="distance to the stop; its sign is the side that the stop is on",
-            scale="x",
+        searched(
+            "gap", "m", "distance to the stop; its sign is the side that the stop is on", (-4.0, 4.0, 1.0), scale="x"
         ),
     ),
     equation="k max(x - gap, 0) for gap >= 0;  k min(x - gap, 0) for gap < 0",
