@@ -1,5 +1,6 @@
 """The rolling estimator: cold start, chunks, gaps, a change that is followed with an honest interval."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 from scipy.fft import irfft
 
 from estimator.identification.batch import spectral as spectral
+from estimator.identification.rolling.background import Finding, Search
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, watchable_effects
 from estimator.model.background import StructuralMode
@@ -56,9 +58,12 @@ def test_a_long_warm_up_says_what_it_waits_for() -> None:
     )
 
 
-def test_structural_modes_become_part_of_the_estimate_once_they_are_sure() -> None:
-    """A part on the cap at 900 Hz, beside a bearing at 400 Hz, and a force whose spectrum falls by 6 dB an octave."""
-    rate_hz, seconds, m, k, c = 8192.0, 36.0, 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
+def with_a_part(seconds: float) -> tuple[Model, np.ndarray, dict[str, float]]:
+    """A part on the cap at 900 Hz, beside a bearing at 400 Hz, and a force whose spectrum falls by 6 dB an octave.
+
+    The rig file's rig, the record at 8192 Hz, and the true kL and c.
+    """
+    rate_hz, m, k, c = 8192.0, 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
     f, rng = np.arange(int(seconds * rate_hz) // 2 + 1) / seconds, np.random.default_rng(0)
     s = 2j * np.pi * np.maximum(f, 1.0)
     part = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
@@ -66,15 +71,40 @@ def test_structural_modes_become_part_of_the_estimate_once_they_are_sure() -> No
     force = rng.normal(size=f.size) + 1j * rng.normal(size=f.size)
     y = irfft(100.0 * force * s**2 / stiffness, int(seconds * rate_hz))[:, None]
     rig = Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 1800.0), mass={"bearing1": m})
-    estimates = run(RollingEstimator(rig, rate_hz, 10.0, watch=()), y, 4096)
-    before, last = estimates[int(23 * rate_hz / 4096)].parameters["bearing1.x.kL"], estimates[-1]
+    return rig, y, {"kL": k, "c": c}
+
+
+def test_structural_modes_become_part_of_the_estimate_once_they_are_sure() -> None:
+    rig, y, truth = with_a_part(36.0)
+    estimates = run(RollingEstimator(rig, 8192.0, 10.0, watch=()), y, 4096)
+    before, last = estimates[2 * 23].parameters["bearing1.x.kL"], estimates[-1]
     assert "not white" in before.reason
     assert not before.identifiable
-    for name, true in (("kL", k), ("c", c)):
+    for name, true in truth.items():
         found = last.parameters[f"bearing1.x.{name}"]
         assert abs(found.value - true) < 3.0 * found.sd
     assert last.extra is not None
     assert last.extra["background_found_s"] == pytest.approx(33.0, abs=1.5)
+
+
+@pytest.mark.slow
+def test_a_search_in_a_thread_gives_the_same_bits() -> None:
+    def in_a_thread(search: Search) -> Search:
+        found: list[Finding | None] = []
+        thread = threading.Thread(target=lambda: found.append(search()))
+        thread.start()
+
+        def result() -> Finding | None:
+            thread.join()
+            return found[0]
+
+        return result
+
+    rig, y, _ = with_a_part(36.0)
+    at_once = run(RollingEstimator(rig, 8192.0, 10.0, watch=()), y, 4096)[-1]
+    assert at_once.extra is not None
+    assert "background_found_s" in at_once.extra
+    assert run(RollingEstimator(rig, 8192.0, 10.0, watch=(), run=in_a_thread), y, 1280)[-1] == at_once
 
 
 @pytest.mark.slow
