@@ -62,8 +62,8 @@ def void_lines(channels: Json) -> list[str]:
     lines = []
     for reason, keys in found.items():
         names = list(dict.fromkeys(name for own in keys.values() for name in own))
-        where = "all channels" if len(names) == len(channels) > 1 else ", ".join(names)
-        lines.append(f"no {', '.join(keys)} of {where}: {reason}")
+        where = "any channel" if len(names) == len(channels) > 1 else ", ".join(names)
+        lines.append(f"no {', '.join(keys)} for {where}: {reason}")
     return lines
 
 

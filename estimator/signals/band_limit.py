@@ -321,8 +321,7 @@ class BandLimit:
             passed.append(product[3 : 3 + len(through)])
         if through:
             each = np.stack(passed[: len(self._joining[0])], axis=1)
-            parts = np.matmul(np.asarray(self._joining, dtype), each.view(dtype))  # real and imaginary parts in turn
-            joined = parts.sum(axis=0).view(single)
+            joined = np.matmul(np.asarray(self._joining, dtype), each.view(dtype)).sum(axis=0).view(single)  # as reals
             out[3, : len(self._joining[0])] = np.fft.irfft(joined, self._size, axis=1)[:, 2 * self.half :]
         if whole:
             return out, np.ones(self._hop, bool)
