@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .law_character import Parity, State, law_parity, law_power, law_state, steps_at_rest
+from .law_character import State, law_power, law_state
 
 Kind = Literal["force", "memory", "disc", "shaft", "excitation", "sensor"]
 FoundBy = Literal["law", "harmonics", "spectrum", "coherence", "samples"]
@@ -126,8 +126,6 @@ class Effect:
         the residual forces at the two bearings. samples: the raw samples of a channel.
     harmonics : tuple of int, "all" or None
         Of found_by harmonics: the orders of its angle that the force has.
-    feeds_energy : bool
-        Whether the law can do work on the rotor over a closed orbit.
     channel_response : callable or None
         Of kind sensor: channel_response(w (n,) rad/s, p) -> (n,) complex, measured over true; None if there is none.
     spectral_factor : callable or None
@@ -163,7 +161,6 @@ class Effect:
     shape: Callable[..., Any] | None = None
     found_by: FoundBy = "law"
     harmonics: tuple[int, ...] | Literal["all"] | None = None
-    feeds_energy: bool = False
     channel_response: Callable[..., Any] | None = None
     spectral_factor: Callable[..., Any] | None = None
     in_likelihood: bool = True
@@ -181,19 +178,9 @@ class Effect:
         return "none" if self.force is None else law_state(self.force, self.parameters, self.one_direction)
 
     @property
-    def parity(self) -> Parity:
-        """Of the force law when displacements and velocities change sign; none where it depends on neither."""
-        return "none" if self.force is None else law_parity(self.force, self.parameters, self.one_direction)
-
-    @property
     def power(self) -> int | None:
         """Exponent n of a law that is an amplitude times x^n."""
         return None if self.force is None else law_power(self.force, self.parameters)
-
-    @property
-    def steps_at_rest(self) -> bool:
-        """Whether a law of velocity jumps where the motion turns."""
-        return self.force is not None and steps_at_rest(self.force, self.parameters)
 
     @property
     def turns(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a force law depends on, its parity and its power, found by evaluating the law at a few states.
+"""What a force law depends on, and its power, found by evaluating the law at a few states.
 
 The law is scalar and plain, so no compiler is needed. Each amplitude is 1 in turn, the others 0: the parts of
 amplitudes of different units have any size. Searched parameters have their defaults. States reach four times beyond the
@@ -19,13 +19,10 @@ if TYPE_CHECKING:
     from .effect import EffectParameter
 
 State = Literal["displacement", "velocity", "both", "directions", "time", "shaft_angle", "none"]
-Parity = Literal["odd", "even", "mixed", "none"]
 Force = Callable[..., float]
 
 N_STATES = 40  # random states that a law is evaluated at
 TOLERANCE_REL = 1e-9  # of the largest force: a smaller difference is rounding
-STEP_STATE_REL = 1e-9  # of the largest velocity: to either side of zero, where a step is looked for
-STEP_FORCE_REL = 1e-2  # of the largest force: the least step
 
 
 def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> State:
@@ -42,17 +39,6 @@ def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction
     return "displacement" if "x" in depends else "velocity" if "v" in depends else "none"
 
 
-def law_parity(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> Parity:
-    """How a law behaves when all displacements and velocities change sign; "none" where it depends on neither."""
-    if not _dependence(force, tuple(parameters), one_direction) & {"x", "v", "xo", "vo"}:
-        return "none"
-    states = _states(parameters, one_direction)
-    here, there = _forces(force, parameters, states), _forces(force, parameters, states * [-1, -1, -1, -1, 1, 1])
-    if _same(here, -there):
-        return "odd"
-    return "even" if _same(here, there) else "mixed"
-
-
 def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None:
     """n of an amplitude times x^n; None of any other law."""
     if len(parameters) != 1 or not parameters[0].linear or law_state(force, parameters, False) != "displacement":
@@ -62,17 +48,6 @@ def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None
     is_power = n > 0 and _same(two, one * 2.0**n) and _same(opposite, one * (-1.0) ** n)
     states = _states(parameters, False)
     return n if is_power and _same(_forces(force, parameters, states)[:, 0], one[0] * states[:, 0] ** n) else None
-
-
-def steps_at_rest(force: Force, parameters: Sequence[EffectParameter]) -> bool:
-    """Whether a law of velocity jumps where the motion turns, as dry friction does."""
-    if law_state(force, parameters, False) != "velocity":
-        return False
-    states = _states(parameters, False)
-    largest = np.abs(_forces(force, parameters, states)).max(axis=0)
-    near = np.abs(states[:1]) * [1.0, STEP_STATE_REL, 1.0, 1.0, 1.0, 1.0]
-    ahead, behind = (_forces(force, parameters, near * [1, side, 1, 1, 1, 1])[0] for side in (1, -1))
-    return bool(np.any(np.abs(ahead - behind) > STEP_FORCE_REL * largest))
 
 
 @cache

@@ -113,8 +113,6 @@ class Stationarity:
     ----------
     temperature : float
         T in J that matches best; infinite without damping.
-    by_dof : dict of str to float
-        Q_ii / (2 C_ii) in J of each damped or driven degree of freedom; infinite where it has no damping.
     mismatch : float
         ``|Q - 2 T C| / |Q|``; 0 where the condition holds.
     blocking : tuple of str
@@ -122,7 +120,6 @@ class Stationarity:
     """
 
     temperature: float
-    by_dof: dict[str, float]
     mismatch: float
     blocking: tuple[str, ...]
 
@@ -162,12 +159,7 @@ def stationarity(model: Model) -> Stationarity:
     rig = assemble(model)
     Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
     T = float(np.sum(Q * C) / (2.0 * np.sum(C * C))) if np.any(C) else np.inf
-    by_dof = {
-        dof: float(Q[i, i] / (2.0 * C[i, i])) if C[i, i] > 0 else np.inf
-        for i, dof in enumerate(rig.dofs)
-        if Q[i, i] > 0 or C[i, i] > 0
-    }
     mismatch = float(np.linalg.norm(Q - 2.0 * T * C) / np.linalg.norm(Q)) if np.any(Q) and np.isfinite(T) else np.inf
     effects = [effect_of(use) for use in model.effects]
     blocking = tuple(e.name for e in effects if not e.stationary_density and e.kind != "sensor")
-    return Stationarity(T, by_dof, mismatch, blocking)
+    return Stationarity(T, mismatch, blocking)

@@ -33,6 +33,5 @@ CROSS_COUPLING = Effect(
     ),
     scope="node",
     force=force,
-    feeds_energy=True,
     watched=True,
 )

@@ -48,5 +48,4 @@ RUB = Effect(
     ),
     scope="node",
     force=force,
-    feeds_energy=True,
 )

@@ -20,7 +20,6 @@ from .spectral_cells import SpectralCells, cells_of
 
 MAX_DIMMING_SHARE = 0.985  # of S, that a spectral shape may take away at low frequencies
 BROADENED_DAMPING_SHARE = 0.75  # of a damping: excess of one resonance fitted to the two of rotor and pedestal
-MIN_PEAK_QUALITY = 1.0  # of a sensor resonance: below it a low-pass filter looks alike
 # of ln(mass / cap mass), ln(frequency in Hz), ln(damping ratio) of a pedestal
 PEDESTAL_LOWER_LIMITS, PEDESTAL_UPPER_LIMITS = np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])
 DERIVATIVE_STEP_REL = 1e-8  # of a number over its scale
@@ -261,8 +260,3 @@ def fit_shape(c: SpectralCells, shape: SpectralShape, u: Array, scale: Array) ->
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
     return _max_likelihood(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
-
-
-def is_peakless(effect: str, values: Array, top_hz: float) -> bool:
-    """Whether a sensor resonance lies above the band and has no peak: an anti-alias roll-off looks the same."""
-    return effect == SENSOR_RESONANCE.name and bool(values[0] > top_hz and values[1] < MIN_PEAK_QUALITY)

@@ -26,7 +26,7 @@ from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
 from .spectral_cells import SpectralCells, cells_of, finite_exp, mean_power
-from .spectral_models import base_model, fit_base_model, fit_shape, is_peakless, pedestal_at_limit, spectral_causes
+from .spectral_models import base_model, fit_base_model, fit_shape, pedestal_at_limit, spectral_causes
 
 MAX_SHAPE_P_VALUE = 1e-3
 MIN_DEPTH_RMS = 0.015  # of ln(power / model): errors of filters and integrators are smaller
@@ -130,7 +130,6 @@ def _shape_findings(
                 region=_misfit_region(c, r),
                 explained_share=gain / max(-level - 0.5 * (c.n.size - 4), 1.0),
                 settings={place: settings},
-                note=_roll_off_note(shape.effect, values, data.band[1]),
             )
         )
     return out
@@ -167,13 +166,6 @@ def _predictable_power(point: WorkingPoint, i: int, c: SpectralCells, r: Array) 
     """Power (N^2) of the force at location i that is predictable from its past, with a spectrum as r (cells,)."""
     weight = c.n / c.n.sum()
     return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _force_variance(point, i)
-
-
-def _roll_off_note(effect: str, values: Array, top_hz: float) -> str:
-    """The note on a sensor resonance above the band without a peak; empty for other causes."""
-    if not is_peakless(effect, values, top_hz):
-        return ""
-    return "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high below it"
 
 
 def _force_variance(point: WorkingPoint, i: int) -> float:

@@ -152,7 +152,6 @@ def test_stationary_condition_is_reported() -> None:
     doubled = {**exact.linear["bearing1.x"], "c": Setting(80.0)}
     unequal = replace(exact, linear={**exact.linear, "bearing1.x": doubled})
     assert stationarity(unequal).mismatch > 0.1
-    assert stationarity(unequal).by_dof["bearing1.x"] == pytest.approx(0.5 * report.temperature)
 
 
 def test_propagator_is_the_exact_flow() -> None:
