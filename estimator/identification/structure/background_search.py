@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import expit
 
 from estimator.arrays import Array, Complexes, products
 from estimator.errors import ModelError
@@ -223,6 +224,19 @@ def _score(point: JointPoint, least: float) -> float:
     return point.log_likelihood - least * len(point.values.modes)
 
 
+def _sd_of_forms(problem: JointSpectrum, found: JointPoint, point: WorkingPoint) -> Array:
+    """(2, caps) standard deviations of ln kL and ln c over both forms of a mode, each as likely as its likelihood."""
+    sd = np.zeros((2, problem.mass.size))
+    for k in range(len(found.values.modes)):
+        other = tried_point(problem, _in_other_form(problem, found.values, k))
+        lost = (found.log_likelihood - other.log_likelihood) / force_dispersion(point)
+        share = float(expit(-lost)) if _resonates(problem, other) else 0.0
+        old, new = found.values, other.values
+        apart = np.abs([new.stiffness - old.stiffness, new.damping - old.damping])
+        sd = np.maximum(sd, apart * np.sqrt(share * (1.0 - share)))
+    return sd
+
+
 def _in_other_form(problem: JointSpectrum, values: JointValues, k: int) -> JointValues:
     """Values with mode k under the bearing instead of on the cap, or on the cap instead of under the bearing.
 
@@ -360,7 +374,7 @@ def backgrounds(
     white = replace(problem, octaves=np.inf, fall_power=0, loose=())
     J, _ = white.score(replace(found, values=replace(values, force=np.zeros((caps, 1)), heavier=np.zeros(0))))
     known = np.diag(np.linalg.pinv((products(J))[: 4 * caps, : 4 * caps]))[2 * caps :]
-    more = np.sqrt(np.maximum(whole - known, 0.0)).reshape(2, caps)
+    more = np.sqrt(np.maximum(whole - known, 0.0).reshape(2, caps) + _sd_of_forms(problem, found, point) ** 2)
     cells = problem.spectra.f_hz
     f = cells if problem.fall_power else np.geomspace(cells[0], cells[-1], SHAPE_KNOTS)
     for cap, i in enumerate(problem.spectra.places):

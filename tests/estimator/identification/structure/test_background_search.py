@@ -65,6 +65,17 @@ def test_heavy_modes_of_the_support_are_not_taken_for_masses_on_the_cap() -> Non
     assert kL.value == pytest.approx(STIFFNESS, rel=0.05)
 
 
+def test_a_form_that_the_record_does_not_tell_widens_the_interval_of_stiffness() -> None:
+    """One mode of 8 % damping beside a bearing of 9 %: under it, or on the cap of a bearing that is 20 % softer."""
+    support = StructuralMode(form="support", mass=12.0 * MASS, frequency_hz=420.0, damping=0.08)
+    found = fit(rig(), record_with_modes(8.0, (support,)), RATE_HZ)
+    kL = found.parameters["bearing1.x.kL"]
+    assert kL.value is not None
+    assert kL.sd is not None
+    assert abs(kL.value - STIFFNESS) < 2.5 * kL.sd
+    assert kL.sd > 0.02 * STIFFNESS
+
+
 def test_an_unknown_filter_is_a_fall_of_the_force_spectrum_and_no_mode() -> None:
     sos = cheby2(8, 60.0, 3100.0, output="sos", fs=RATE_HZ)
     model = replace(rig(), band=(100.0, 2600.0))
