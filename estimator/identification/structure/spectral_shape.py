@@ -17,6 +17,7 @@ from estimator.arrays import Array
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
+from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.identification.finding import OTHER_BEARING, UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -35,6 +36,8 @@ MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance, for a cause
 SHAPE_TOLERANCE_REL = 1e-6  # of a spectral shape of the model from flat
 NEGATIVE_MARGIN_SD = 3.0  # below zero, of a stiffness or damping that no bearing has
 MIN_NOISE_RATIO_TO_OTHERS = 6.0  # power of a faulty sensor's noise over that of its neighbours
+MIN_PEAK_QUALITY = 1.0  # of a sensor resonance above the band: below it a low-pass filter looks alike
+ROLL_OFF_NOTE = "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high"
 MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
 MAX_BACKGROUND_DEPTH_RMS = 0.23  # of what a background leaves, 1 dB: instruments have +-10 % (ISO 2954)
 
@@ -118,6 +121,7 @@ def _shape_findings(
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
+        no_peak = shape.effect == SENSOR_RESONANCE.name and values[0] > data.band[1] and values[1] < MIN_PEAK_QUALITY
         out.append(
             Finding(
                 effect=shape.effect,
@@ -130,6 +134,7 @@ def _shape_findings(
                 region=_misfit_region(c, r),
                 explained_share=gain / max(-level - 0.5 * (c.n.size - 4), 1.0),
                 settings={place: settings},
+                note=ROLL_OFF_NOTE if no_peak else "",
             )
         )
     return out
