@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -94,12 +95,26 @@ def _of_log(source: Path, out: Path) -> tuple[str, list[str]]:
 
     log = read_log(source)
     if (own := log.rig_text.strip()) and "rig.toml" in log.attachments:
-        return own + "\n", [f"{source}: holds its rig file, which is copied"]
+        text, notes = _with_rotor(own, log.attachments, out)
+        return text + "\n", [f"{source}: holds its rig file, which is copied", *notes]
     signals = [(s.name, s.unit) for s in log.info.signals]
     found = _some(source, list(guesses(signals)), [name for name, _ in signals])
     new = NewRig(name=out.stem, origin=f"Written by rotorscope init from {source.name}.", channels=found,
                  rate_hz=log.rate_hz)  # fmt: skip
     return rig_text(new), _left([name for name, _ in signals], found)
+
+
+def _with_rotor(text: str, attached: Mapping[str, bytes], out: Path) -> tuple[str, list[str]]:
+    """The rig file of a log; the matrices of its rotor are written beside the new file, and named there."""
+    from daq.rig.rotor_table import ATTACHED_NAME
+
+    rotor = Rig.parse(text, attached=attached).file.rig.rotor if ATTACHED_NAME in attached else None
+    if rotor is None or rotor.file is None:
+        return text, []
+    target = out.parent / (Path(rotor.file).stem + ".npz")
+    if not target.exists():
+        write_whole(target, attached[ATTACHED_NAME])
+    return text.replace(f'"{rotor.file}"', f'"{target.name}"'), [f"{target}: the matrices of its rotor"]
 
 
 def _of_data(output: Output, source: Path, out: Path) -> tuple[str, list[str]]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from daq.base.contract.errors import ConfigError
+from daq.commands.cli.app import main
 from daq.rig.rig import Rig, load_rig
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -111,6 +112,21 @@ def test_a_log_holds_the_matrices() -> None:
     assert np.array_equal(again.model.rotor.K, rig.model.rotor.K)
     with pytest.raises(ConfigError, match="is not in the log; give the rig file itself: --rig"):
         Rig.parse(rig.text)
+
+
+def test_a_rig_file_that_comes_out_of_a_log_brings_its_matrices(tmp_path: Path) -> None:
+    moved = tmp_path / "models"
+    moved.mkdir()
+    (moved / "shaft.npz").write_bytes((CONFIGS / "two_discs.npz").read_bytes())
+    (tmp_path / "rig.toml").write_text(TEXT.replace("two_discs.npz", "models/shaft.npz"))
+    log = tmp_path / "log.mcap"
+    simulate = ["simulate", str(tmp_path / "rig.toml"), "--out", str(log), "--seconds", "0.2", "--speed", "max"]
+    assert main(simulate) == 0
+    out = tmp_path / "elsewhere" / "rig.toml"
+    out.parent.mkdir()
+    assert main(["init", "--from", str(log), "--out", str(out), "--quiet"]) == 0
+    assert 'file = "shaft.npz"' in out.read_text()
+    assert load_rig(out).model.rotor is not None
 
 
 INLINE = """schema = 1
