@@ -9,8 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, BinaryIO
 
-import numpy.lib._format_impl as npy
 from pyuff.datasets import dataset_58
+
+try:
+    import numpy.lib._format_impl as npy
+except ImportError:  # numpy before 2.3
+    import numpy.lib.format as npy  # type: ignore[no-redef]
 
 MOST = 20_000  # answers kept; then all are forgotten
 Answer = tuple[Any, tuple[type[Exception], tuple[Any, ...]] | None]
