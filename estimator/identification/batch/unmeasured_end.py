@@ -6,15 +6,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.errors import DataError
 from estimator.model.rig import Model
 from estimator.model.rotor import rotor_matrices
 from estimator.results import Message
 
 MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: a weaker coupling through the shaft does not matter
+MAX_ROTOR_STIFFNESS_REL = 0.1  # of it, beyond which a rotor of many modes is not judged by some bearings
 
 
 def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Message, ...]:
-    """A message if an unmeasured bearing acts on a measured one through the shaft. kL : by place, N/m."""
+    """A message if an unmeasured bearing acts on a measured one through the shaft. kL : by place, N/m.
+
+    Raises DataError where it acts strongly through the modes of a given rotor.
+    """
     matrices = rotor_matrices(model)
     if matrices is None:
         return ()
@@ -30,9 +35,11 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Mess
             most, lacking = float(through.max()), others[int(np.argmax(through))][:-2]
     if not lacking:
         return ()
-    text = (
+    acts = (
         f"{lacking} is not measured, but its motion acts through the shaft on the bearing that is ({100 * most:.0f} % "
-        "of the stiffness there, at the resonance). The fit takes it for excitation, and no value is reliable: "
-        "measure all bearings"
+        "of the stiffness there, at the resonance)"
     )
+    if model.rotor is not None and most > MAX_ROTOR_STIFFNESS_REL:
+        raise DataError(f"{acts}: measure all bearings, or leave out the shaft")
+    text = f"{acts}. The fit takes it for excitation, and no value is reliable: measure all bearings"
     return (Message("end_unmeasured", text, lacking),)

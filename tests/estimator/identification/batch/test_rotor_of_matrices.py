@@ -45,6 +45,12 @@ def test_a_band_without_a_mode_that_strains_the_bearings_is_refused(linear: tupl
         fit_all_effects(replace(model, band=(1800.0, 2700.0)), y, RATE)
 
 
+def test_a_rotor_is_not_judged_by_one_of_its_bearings(linear: tuple[Model, np.ndarray]) -> None:
+    model, y = linear
+    with pytest.raises(DataError, match=r"free is not measured, but its motion .*: measure all bearings"):
+        fit_all_effects(replace(model, channels=model.channels[:2]), y[:, :2], RATE)
+
+
 def test_the_methods_of_the_paper_say_that_they_do_not_know_such_a_rotor(linear: tuple[Model, np.ndarray]) -> None:
     with pytest.raises(ModelError, match='method = "spectral"'):
         planes_of(linear[0])
