@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from estimator.model.rig import LineBand
@@ -82,14 +82,8 @@ class Tone:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `tones` in the JSON of a diagnosis."""
-        return {
-            "kind": self.kind,
-            "order": self.order,
-            "frequency_hz": self.frequency_hz,
-            "amplitude": dict(self.amplitude),
-            "unit": self.unit,
-            "p_value": self.p_value,
-        }
+        names = ("kind", "order", "frequency_hz", "unit", "p_value")
+        return {name: getattr(self, name) for name in names} | {"amplitude": dict(self.amplitude)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,17 +124,7 @@ class StrikeTrain:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `strikes` in the JSON of a diagnosis."""
-        return {
-            "name": self.name,
-            "order": self.order,
-            "frequency_hz": self.frequency_hz,
-            "slip_percent": self.slip_percent,
-            "channel": self.channel,
-            "band_hz": list(self.band_hz),
-            "p_value": self.p_value,
-            "severity": self.severity,
-            "harmonics": self.harmonics,
-        }
+        return asdict(self) | {"band_hz": list(self.band_hz)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

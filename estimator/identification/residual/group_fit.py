@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
@@ -41,15 +42,8 @@ def as_hat_functions(
 ) -> PathFit:
     """The fit of a problem bound to polynomials, expressed in the free hat functions."""
     M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
-    delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
-    return PathFit(
-        names=problem.gram.names,
-        delta=delta,
-        covariance=covariance,
-        S=fit.S,
-        log_likelihood=fit.log_likelihood,
-        scales=problem.gram.scales,
-    )
+    gram, covariance = problem.gram, M.T @ fit.covariance @ M
+    return replace(fit, names=gram.names, delta=fit.delta @ M, covariance=covariance, scales=gram.scales)
 
 
 def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:

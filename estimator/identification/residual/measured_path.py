@@ -80,7 +80,7 @@ class MeasuredPath:
 
 
 @dataclass(frozen=True, slots=True)
-class PathFit:
+class FaultFit:
     """The likeliest path with a fault. p : its parameter. sd. nats. left : (cells,) kg, error of the tangent left."""
 
     p: float
@@ -131,7 +131,7 @@ def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.compl
     return np.asarray(rfft(np.concatenate([rows, between]) * window, axis=1))
 
 
-def fit_path(r: MeasuredPath, effect: str | None = None, starts: Collection[float] = (0.0,)) -> PathFit:
+def fit_path(r: MeasuredPath, effect: str | None = None, starts: Collection[float] = (0.0,)) -> FaultFit:
     """The likeliest stiffness and damping of the path, with a fault of the sensor or without."""
     from scipy.optimize import least_squares
 
@@ -156,7 +156,7 @@ def fit_path(r: MeasuredPath, effect: str | None = None, starts: Collection[floa
     best = min((least_squares(residual, z) for z in begun), key=lambda one: float(one.cost))
     J: Array = np.asarray(best.jac, np.float64)
     sd = np.sqrt(np.diag(np.linalg.pinv(J.T @ J))) * unit
-    return PathFit(float(best.x[-1] * unit[-1]), float(sd[-1]), -float(best.cost), error_left(best.x))
+    return FaultFit(float(best.x[-1] * unit[-1]), float(sd[-1]), -float(best.cost), error_left(best.x))
 
 
 def is_delay(effect: str) -> bool:
@@ -164,7 +164,7 @@ def is_delay(effect: str) -> bool:
     return CATALOGUE[effect].parameters[0].unit == "s"
 
 
-def _tried_faults(point: WorkingPoint, i: int, r: MeasuredPath, names: Collection[str]) -> dict[str, PathFit]:
+def _tried_faults(point: WorkingPoint, i: int, r: MeasuredPath, names: Collection[str]) -> dict[str, FaultFit]:
     """The fit with each of some faults at place i."""
     delays = [d / point.data.rate_hz for d in DELAY_STARTS_SAMPLES]
     return {name: fit_path(r, name, delays if is_delay(name) else GAIN_STARTS_REL) for name in names}
