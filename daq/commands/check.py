@@ -15,6 +15,7 @@ from scipy.linalg import eigh
 
 from daq.base.console.output import Output
 from daq.rig.rig import Rig, check_laws, load_rig
+from daq.rig.rotor_table import read_matrices
 from estimator.model import Model, RotorMatrices, Setting, assemble
 
 MAX_MODES_SHOWN = 8
@@ -152,8 +153,9 @@ def _remarks(rig: Rig) -> list[str]:
         if unmeasured:
             text = "not measured, so what it does acts on the others as excitation: measure every bearing"
             remarks.append(f"{', '.join(unmeasured)}: {text}")
-        if not model.speed_rpm:
-            remarks.append("no rig.speed_rpm: a gyroscopic matrix G does nothing")
+        table = rig.file.rig.rotor
+        if not model.speed_rpm and table is not None and "G" in read_matrices(table, rig.base, {}):
+            remarks.append("no rig.speed_rpm: the gyroscopic matrix G does nothing")
     if missing := unknown(model):
         remarks.append(f"{len(missing)} values are not given and will be fitted: {_some(missing)}")
     if not any(model.cap_mass(p) for p in model.places):

@@ -80,7 +80,7 @@ class RotorMatrices:
         own = self.only([i for i, dof in enumerate(self.dofs) if dof[-1] in directions and i not in others])
         caps = [own.dofs.index(p) if p in own.dofs else -1 for p in places]
         inner = [i for i in range(len(own.dofs)) if i not in caps]
-        if max(caps, default=-1) < 0 or not inner:
+        if max(caps, default=-1) < 0:
             return None
         T = np.zeros((len(own.dofs), len(places) + len(inner)))
         for k, i in enumerate([*caps, *inner]):
@@ -121,7 +121,7 @@ class Rotor:
         """
         P, n = len(self.places), len(self.M)
         coupled = (np.abs(self.M) + np.abs(self.C) + np.abs(self.K))[P:, P:] > 0.0
-        poles, shapes, pushed = [], [], []
+        poles, shapes, pushed = ([np.empty(shape, complex)] for shape in ((0,), (n - P, 0), (0, P)))
         for own in _components(coupled):
             at, q = P + own, own.size
             Mi = np.linalg.inv(self.M[np.ix_(at, at)])
@@ -135,7 +135,7 @@ class Rotor:
             poles.append(p)
             shapes.append(shape)
             pushed.append(-(left @ self.K[at, :P] + p[:, None] * (left @ self.C[at, :P])))
-        return np.concatenate(poles).astype(complex), np.hstack(shapes), np.vstack(pushed)
+        return np.concatenate(poles), np.hstack(shapes), np.vstack(pushed)
 
     @cached_property
     def _residues(self) -> Complexes:
@@ -176,7 +176,7 @@ class Rotor:
         s = 1j * np.asarray(w)
         M, C, K = self.direct
         P, R = len(self.places), self._residues
-        through = (1.0 / (s[:, None] - self._modes[0])) @ R.reshape(len(R), -1)
+        through = (1.0 / (s[:, None] - self._modes[0])) @ R.reshape(len(R), P * P)
         s = s[:, None, None]
         return np.asarray(K + s * C + s * s * M + through.reshape(-1, P, P))
 
@@ -220,7 +220,7 @@ def _components(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Indices of each set of coordinates that are coupled to one another."""
     from scipy.sparse.csgraph import connected_components
 
-    count, label = connected_components(coupled, directed=False)
+    count, label = connected_components(coupled, directed=False) if coupled.size else (0, np.empty(0))
     return [np.flatnonzero(label == k) for k in range(count)]
 
 
@@ -255,7 +255,7 @@ def reduced_rotor(
     bases, dofs = [], []
     for d, plane in planes.items():
         loose = [i for i in plane if i not in [nodes[name][d] for name in bearings]]
-        p = eigh(K[np.ix_(loose, loose)], M[np.ix_(loose, loose)], eigvals_only=True)
+        p = eigh(K[np.ix_(loose, loose)], M[np.ix_(loose, loose)], eigvals_only=True) if loose else np.ones(1)
         if p[0] < MIN_MODE_REL * p[-1]:
             raise ModelError("the rotor turns freely while its bearings are held: name two bearings at least")
         held = [nodes[name][d] for name in nodes]

@@ -72,6 +72,14 @@ def test_a_shaft_of_one_disc_is_a_rotor_with_one_term_for_all_places(shaft: str)
     assert rotor.resonances_hz == pytest.approx([np.sqrt({"chain": 2, "beam": 4}[shaft] * 2e6 / 0.5) / (2 * np.pi)])
 
 
+def test_a_shaft_without_any_further_coordinate_is_its_own_matrices() -> None:
+    K = 1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    rotor = RotorMatrices(dofs=("a.x", "b.x"), bearings=("a", "b"), M=np.eye(2), C=1e-5 * K, K=K).at(("b.x", "a.x"))
+    assert rotor is not None
+    assert rotor.dynamic(W) == pytest.approx(np.multiply.outer(1.0 + 1e-5j * W, K))
+    assert rotor.terms() == rotor.resonances_hz == ()
+
+
 @pytest.mark.parametrize("speed_rpm", ROSS_HZ)
 def test_campbell_is_that_of_ross(speed_rpm: float) -> None:
     text = TWO_DISCS.text.replace("speed_rpm = 2980.0", f"speed_rpm = {speed_rpm}").replace("0.003", "0.0")
