@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -64,7 +65,10 @@ def differences(golden: Any, now: Any, at: str = "") -> Iterator[str]:
         sd = golden.get("sd") if isinstance(golden.get("sd"), float) else None
         for key in golden:
             if key == "value" and sd is not None and isinstance(now[key], float):
-                if abs(now[key] - golden[key]) > 0.5 * sd:
+                apart = now[key] - golden[key]
+                if golden.get("unit") == "rad":
+                    apart = math.remainder(apart, 2.0 * math.pi)  # an angle is known up to whole turns
+                if abs(apart) > 0.5 * sd:
                     yield f"{at}.{key}: {now[key]:g}, was {golden[key]:g} +- {sd:g}"
             elif key not in ("digest", "p_value", "p_equal"):
                 yield from differences(golden[key], now[key], f"{at}.{key}")
