@@ -331,7 +331,7 @@ def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
         except NotFiniteError:
             continue
         left = missing_force.survey(both, context.model, only=before.places_found())
-        if left_of_own_state(before, left, one) <= THRESHOLDS.max_left_rel:
+        if left_of_own_state(before, left, one)[0] <= THRESHOLDS.max_left_rel:
             own = {law.key for law in (*one.placed, *other.placed)}
             return replace(
                 one, effect=f"{one.effect} + {other.effect}", at=tuple(dict.fromkeys((*one.at, *other.at))),

@@ -131,12 +131,14 @@ def told_from_zero(entry: Entry, context: Context) -> GateResult:
 
 
 def leaves_little(entry: Entry, context: Context) -> GateResult:
-    """The candidate leaves at most a fifth of what it was to explain."""
-    left, most = context.fitted(entry).left_rel, THRESHOLDS.max_left_rel
+    """The candidate leaves at most a fifth of what it was to explain, within the uncertainty of what is left."""
+    fit, most = context.fitted(entry), THRESHOLDS.max_left_rel
+    left = fit.left_rel
     if left is None:
         return GateResult(gate="leaves little", passed=True)
-    text = "share left of what it was to explain"
-    return GateResult(gate="leaves little", passed=left <= most, measured=left, limit=most, text=text)
+    least = left if fit.least_left_rel is None else fit.least_left_rel
+    text = f"share left of what it was to explain (lower 95 % limit {least:.2f})"
+    return GateResult(gate="leaves little", passed=least <= most, measured=left, limit=most, text=text)
 
 
 NAMING_GATES: tuple[Gate, ...] = (

@@ -29,6 +29,7 @@ from estimator.model.rig import Model
 from estimator.results import Message
 
 LAW_FIT_ROUNDS = 6
+NORMAL_95 = 1.645  # standard deviations, one side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +43,8 @@ class JointFit:
     left_rel : float or None
         Left of what the candidate was to explain: rms of a force in its state, power of a spectrum. None where that is
         not measured.
+    least_left_rel : float or None
+        Its lower 95 % limit; None where that is not known.
     gain_nats : float or None
         Held-out gain of the fit; None where the likelihoods are not of the same data.
     whole : FullFit or None
@@ -50,6 +53,7 @@ class JointFit:
 
     entry: Entry
     left_rel: float | None = None
+    least_left_rel: float | None = None
     gain_nats: float | None = None
     whole: FullFit | None = None
 
@@ -96,20 +100,24 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     known = fitted_parameters(after)
     values = {name: known.get(name, p) for name, p in entry.parameters.items()}
     entry = replace(entry, after_percent=left.percent(after, tuple(sorted(entry.places))), parameters=values)
-    return JointFit(entry=entry, left_rel=left_of_own_state(survey.missing, left, entry), gain_nats=gain)
+    left_rel, least = left_of_own_state(survey.missing, left, entry)
+    return JointFit(entry=entry, left_rel=left_rel, least_left_rel=least, gain_nats=gain)
 
 
-def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> float:
-    """rms left over rms before, in the state where a law explains most: 0 if the law has the right shape.
+def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> tuple[float, float]:
+    """rms left over rms before, in the state where a law explains most, and its lower 95 % limit.
 
-    States that it does not touch belong to something else that is missing too. Where no state shows a missing force,
-    the law leaves all.
+    0 if the law has the right shape. States that it does not touch belong to something else that is missing too. Where
+    no state shows a missing force, the law leaves all.
     """
     was, rest = _power_by_state(before, entry), _power_by_state(after, entry)
     if not was:
-        return 1.0
+        return 1.0, 1.0
     state = max(was, key=lambda group: was[group] - rest.get(group, 0.0))
-    return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
+    sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in after.residuals if r.place in entry.places)))
+    powers = np.array([rest.get(state, 0.0), rest.get(state, 0.0) - NORMAL_95 * sd])
+    left, least = np.sqrt(np.clip(powers / was[state], 0.0, 1.0)) if was[state] > 0 else (0.0, 0.0)
+    return float(left), float(least)
 
 
 def _power_by_state(found: MissingForce, entry: Entry) -> dict[str, float]:
