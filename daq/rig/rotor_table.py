@@ -228,5 +228,5 @@ def attachment(table: RotorTable, base: Path) -> dict[str, bytes]:
     if table.file is None:
         return {}
     target = io.BytesIO()
-    np.savez_compressed(target, allow_pickle=False, **read_matrices(table, base, {}))
+    np.savez_compressed(target, **read_matrices(table, base, {}))  # type: ignore[arg-type]
     return {ATTACHED_NAME: target.getvalue()}

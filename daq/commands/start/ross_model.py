@@ -75,7 +75,7 @@ def _matrices(source: Path) -> tuple[dict[str, Any], bytes]:
         with np.load(target) as arrays:
             kept = {name: arrays[name] for name in arrays.files}
         packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **kept)
+        np.savez_compressed(packed, **kept)
         told: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
         return told, packed.getvalue()
 

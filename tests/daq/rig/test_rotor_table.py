@@ -26,7 +26,7 @@ def given() -> Arrays:
 def said(folder: Path, text: str, arrays: Arrays | None = None) -> str:
     """All lines that a rig file is refused with."""
     if arrays is not None:
-        np.savez(folder / "two_discs.npz", allow_pickle=False, **arrays)  # type: ignore[arg-type]
+        np.savez(folder / "two_discs.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(ConfigError) as raised:
         Rig.parse(text, folder, folder / "rig.toml")
     return str(raised.value)
