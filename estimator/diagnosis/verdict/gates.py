@@ -137,7 +137,8 @@ def leaves_little(entry: Entry, context: Context) -> GateResult:
     if left is None:
         return GateResult(gate="leaves little", passed=True)
     least = left if fit.least_left_rel is None else fit.least_left_rel
-    text = f"share left of what it was to explain (lower 95 % limit {least:.2f})"
+    limit = f" (lower 95 % limit {least:.2f})" if least < most < left else ""
+    text = f"share left of what it was to explain{limit}"
     return GateResult(gate="leaves little", passed=least <= most, measured=left, limit=most, text=text)
 
 

@@ -74,6 +74,9 @@ def test_every_gate_lets_pass_and_refuses_by_its_number(context: Context) -> Non
     bad = JointFit(entry=entry(), left_rel=0.5, gain_nats=1.0)
     assert not told_from_zero(entry(), replace(context, fits={"clearance": bad})).passed
     assert not leaves_little(entry(), replace(context, fits={"clearance": bad})).passed
+    unsure = leaves_little(entry(), replace(context, fits={"clearance": replace(bad, least_left_rel=0.1)}))
+    assert unsure.passed
+    assert "limit 0.10" in unsure.text
 
 
 def test_what_no_machine_can_have_is_no_candidate(context: Context) -> None:
