@@ -13,6 +13,7 @@ from estimator.likelihood.whitening.sensor_noise import referred_psd
 
 MIN_NOISE_SHARE = 1e-3  # of the power of the noisiest sensor's noise, that every sensor is given
 MAX_CELLS = 260  # over the band
+MIN_KEPT_SHARE = 0.01  # of a bin, beside what lines leak into it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,10 +110,14 @@ def with_others_answering(A: NDArray[np.complex128], S: Array, i: int) -> tuple[
 
 
 def mean_power(point: WorkingPoint, i: int) -> Array:
-    """(bins,) mean |F|^2 of the force at location i, N^2/Hz."""
+    """(bins,) mean |F|^2 of the force at location i, N^2/Hz; of its neighbours where a line takes a bin."""
     Z = point.spectra[i].reshape(point.data.blocks, -1, 2)
     power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.whitening.weight[i]
-    return np.asarray(power if point.whitening.leakage is None else power / point.whitening.leakage.kept[i])
+    if point.whitening.leakage is None:
+        return np.asarray(power)
+    kept = point.whitening.leakage.kept[i]
+    bins = np.flatnonzero(kept > MIN_KEPT_SHARE)
+    return np.asarray(np.interp(np.arange(kept.size), bins, power[bins] / kept[bins]), np.float64)
 
 
 def finite_exp(z: Array) -> Array:

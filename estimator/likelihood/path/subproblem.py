@@ -16,6 +16,8 @@ from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressor
 from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit_increments, log_likelihood
 from .working_point import WorkingPoint
 
+IMPOSSIBLE_NATS = 1e6  # lost on a fold that a fit calls impossible, as where a mode is unstable
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subproblem:
@@ -187,5 +189,7 @@ def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
     for f in range(TIME_FOLDS):
         rest = np.array([k for k in range(TIME_FOLDS) if k != f])
         here = np.array([f])
-        out[f] = problem.likelihood(problem.fit(rest, ridge), here) - plain.likelihood(plain.fit(rest), here)
+        there = plain.likelihood(plain.fit(rest), here)
+        gain = problem.likelihood(problem.fit(rest, ridge), here) - there if np.isfinite(there) else 0.0
+        out[f] = max(gain, -IMPOSSIBLE_NATS)
     return out
