@@ -24,6 +24,7 @@ from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
 from estimator.errors import ModelError
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.batch.unknown_mass import places_without_mass
+from estimator.identification.structure.cross_spectra import SearchTooLongError
 from estimator.identification.structure.rig_spectra import Arrangement, RigFit, RigSpectra
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -270,12 +271,16 @@ class _Trials:
         return replace(trial, fit=self.spectra.without_idle_modes(trial.fit))
 
     def searched_in_turn(self, trials: Sequence[_Trial]) -> list[_Trial]:
-        """Hypotheses with modes of their own, the likeliest first; once one explains the spectra, its rivals only."""
+        """Hypotheses with modes of their own, the likeliest first; once one explains the spectra, its rivals only.
+
+        Those that are reached with the work that the trial may take.
+        """
         found: list[_Trial] = []
         reach = RIVAL_COSTS * self.spectra.cost_nats
-        for trial in trials:
-            if not found or not found[0].fit.explains or trial.fit.nats > found[0].fit.nats - reach:
-                found = sorted([*found, self.searched(trial)], key=lambda t: -t.fit.nats)
+        with suppress(SearchTooLongError):
+            for trial in trials:
+                if not found or not found[0].fit.explains or trial.fit.nats > found[0].fit.nats - reach:
+                    found = sorted([*found, self.searched(trial)], key=lambda t: -t.fit.nats)
         return found
 
     def searched(self, trial: _Trial) -> _Trial:
@@ -320,6 +325,8 @@ class _Trials:
 def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
     """The mistake with which the rig explains the spectra of the caps best; None where the rig as given does as well.
 
+    None either where the trial would take more work than it may.
+
     Parameters
     ----------
     model : Model
@@ -339,11 +346,16 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         return None
     model, background = replace(model, background=None), model.background
     trials = _Trials(model, fit_record(model, prepare(model, y[:TRIAL_ROWS], rate_hz)))
-    spectra = trials.spectra
     try:
-        given = spectra.as_fitted(model, background)
-    except np.linalg.LinAlgError:
+        return _likeliest(trials, asked, trials.spectra.as_fitted(model, background))
+    except (np.linalg.LinAlgError, SearchTooLongError):
         return None
+
+
+def _likeliest(trials: _Trials, asked: Sequence[Hypothesis], given: RigFit) -> Mistake | None:
+    """The mistake that explains the spectra best; None for none. given : the fit of the rig as given."""
+    model, spectra = trials.model, trials.spectra
+    spectra.begin_again()
     near = [trials.pruned(t) for t in trials.screened(asked, given)]
     near = [t for t in near if t.fit.nats > given.nats + MIN_SCREENED_NATS]
     if not given.explains:
@@ -353,6 +365,7 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
     if not found or not (found[0].fit.explains or _explains_coherence(given, found[0].fit)):
         return None
     best = found[0]
+    spectra.begin_again()  # the rig as given has the modes of the best one on trial too
     with suppress(np.linalg.LinAlgError):
         again = spectra.without_idle_modes(spectra.searched(model, spectra.as_given, best.fit))
         given = max(given, again, key=lambda fit: fit.nats)

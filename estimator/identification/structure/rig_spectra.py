@@ -17,7 +17,7 @@ from estimator.model.background import Background
 from estimator.model.rig import Model
 
 from .background_search import MIN_GAIN_NATS, force_dispersion, search_background, tried_point, without_idle_modes
-from .cross_spectra import CrossSpectra
+from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
     cap_masses,
@@ -29,6 +29,7 @@ from .spectral_problem import (
 )
 
 EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
+MAX_WORK_DERIVATIVES = 1e9  # of all rigs on trial together: about 25 s of a core of 2020
 
 Solution = tuple[JointSpectrum, JointPoint]
 
@@ -95,14 +96,23 @@ class RigSpectra:
         The rig as it is given, without disturbances.
     point : WorkingPoint
         Its fit.
+
+    Raises
+    ------
+    SearchTooLongError
+        By every method, once all rigs together took more work than they may.
     """
 
     def __init__(self, model: Model, point: WorkingPoint) -> None:
-        self._point = point
+        self._point, self._work = point, Work(limit=MAX_WORK_DERIVATIVES)
         self.places = point.data.places
         self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
         self._directions = caps_by_direction(self.places)
         self.dispersion = force_dispersion(point)
+
+    def begin_again(self) -> None:
+        """Allow as much work once more."""
+        self._work.done = 0.0
 
     @property
     def cost_nats(self) -> float:
@@ -171,7 +181,8 @@ class RigSpectra:
 
     def _problem(self, model: Model, places: tuple[int, ...], channels: Arrangement) -> JointSpectrum:
         """The spectral problem of the caps of one direction."""
-        return spectral_problem(model, self._point, self._arranged(places, channels), channels.channel_of)
+        arranged = self._arranged(places, channels)
+        return replace(spectral_problem(model, self._point, arranged, channels.channel_of), work=self._work)
 
     def _arranged(self, places: tuple[int, ...], channels: Arrangement) -> CrossSpectra:
         """The spectra of some places with the channels that are there in truth."""
