@@ -78,11 +78,11 @@ def inside_limits(entry: Entry, context: Context) -> GateResult:
     """No tone outside the band, no mode above half the rate, and no gap wider than the motion."""
     data = context.point.data
     hz = [p.value for p in entry.parameters.values() if p.unit == "Hz" and p.value is not None]
-    if entry.effect in PERIODIC_EFFECTS and hz and not data.band[0] <= hz[0] <= data.band[1]:
-        return GateResult(
-            gate="inside limits", passed=False, measured=hz[0], limit=data.band[hz[0] > data.band[1]],
-            text="frequency outside the band",
-        )  # fmt: skip
+    for tone_hz in hz if entry.effect in PERIODIC_EFFECTS else ():
+        edge_hz = float(np.clip(tone_hz, *data.band))
+        if tone_hz != edge_hz:
+            text = "frequency outside the band"
+            return GateResult(gate="inside limits", passed=False, measured=tone_hz, limit=edge_hz, text=text)
     most = THRESHOLDS.max_frequency_over_rate
     highest = max(hz, default=0.0) / data.rate_hz
     if highest > most:

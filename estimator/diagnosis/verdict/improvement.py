@@ -23,7 +23,6 @@ from estimator.identification.record import UsableRecord
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
-from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
@@ -214,7 +213,7 @@ def _second_half(say: Progress, start: float) -> Progress:
 
 
 class _Ladder:
-    """The models of an improvement. Only the last one is kept with its rows: they are large."""
+    """The models of an improvement. Only the last one is kept: its rows are large."""
 
     def __init__(self, given: Model, y: Array, rate_hz: float, whole: FullFit) -> None:
         self._given, self._y, self._rate_hz = given, y, rate_hz
@@ -226,15 +225,6 @@ class _Ladder:
 
     def add(self, best: Entry) -> str:
         """Add an effect that was named. Returns why it is refused; "" where it is added."""
-        refusal = self._added_or_refused(best)
-        if refusal and self.whole.point.data.x.shape[1] == 0:  # the rows were dropped for the fit with the effect
-            point = self.whole.point
-            data = prepare(self.whole.model, self._y, self._rate_hz)
-            self.whole = replace(self.whole, point=fit_model(data, list(point.placed), start=point))
-        return refusal
-
-    def _added_or_refused(self, best: Entry) -> str:
-        """Add an effect, or say why it is refused. The rows of the working point may be gone afterwards."""
         try:
             new = self._with_law(best) if best.placed else self._with_settings(best)
         except DataError as problem:  # far from the rotor
@@ -299,8 +289,6 @@ class _Ladder:
         if not (self.whole.masses or shaped or model.background):
             return new
         again = replace(new.model, mass=given.mass, background=None)  # found anew: a missing law bends spectra too
-        del point
-        self._drop_rows()
         refitted = _refitted(again, self._y, self._rate_hz)
         comparable = np.array_equal(refitted.point.data.bins, richer.data.bins)
         return new if comparable and heldout_nll(richer) < heldout_nll(refitted.point) else refitted
@@ -316,11 +304,7 @@ class _Ladder:
             fitted_model(self.whole.model, self.whole.point),
             ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass, background=None,
         )  # fmt: skip
-        self._drop_rows()
         return refitted_with_found(before, given, best.settings, self._y, self._rate_hz)
-
-    def _drop_rows(self) -> None:
-        self.whole = replace(self.whole, point=self.whole.point.without_rows())
 
 
 def refitted_with_found(

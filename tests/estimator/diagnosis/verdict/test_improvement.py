@@ -21,6 +21,7 @@ from estimator.effects.places import places
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.likelihood.motion.located_law import LocatedLaw
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
@@ -74,6 +75,26 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model) -> None:
     assert len(ladder.rungs) == 1
     assert any(m.code == "not_added" and ahead.effect in m.text for m in ladder.messages)
     assert (ladder.rungs[-1].missing[0], ladder.last.verdict) == (0.0, "complete")
+
+
+def test_after_a_refusal_the_next_candidate_is_judged_on_the_whole_record(rig: Model) -> None:
+    """The fit with an effect that is refused took the samples of the fit without it along."""
+    rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    colour = {name: Parameter(value, 0.1, unit) for name, value, unit in (("gain", 0.5, "1"), ("corner", 900.0, "Hz"))}
+    wrong = Entry(
+        "coloured_excitation", ("bearing1",), 9.0, 8.0, p_value=1e-4, before_percent=0.3, after_percent=0.0,
+        parameters={}, score=7.0, settings={"coloured_excitation": {"bearing1.x": colour}},
+    )  # fmt: skip
+    rows: list[int] = []
+
+    def diagnosed(model: Model, point: WorkingPoint, *_: object) -> BearingJudgement:
+        rows.append(point.data.x.shape[1])
+        return BearingJudgement("coloured_excitation", (wrong,))
+
+    ladder = improvement(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE, diagnose=diagnosed)
+    assert any(m.code == "not_added" for m in ladder.messages)
+    assert len(rows) == 2
+    assert rows[0] == rows[1] > 0
 
 
 def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(rig: Model) -> None:
