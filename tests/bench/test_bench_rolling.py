@@ -11,13 +11,12 @@ import time
 import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
-from structural_rig import STIFFNESS, drawn_modes, structural_record
+from structural_rig import PART_MODE, STIFFNESS_N_M, SUPPORT_MODE, drawn_modes, structural_record
 
 from estimator.identification.batch import spectral
 from estimator.identification.rolling.background import Search
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, UNWATCHABLE_EFFECTS, watchable_effects
-from estimator.model.background import StructuralMode
 from estimator.results import BACKGROUND_KEY
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
@@ -91,19 +90,17 @@ def test_time_of_a_fit(seconds: float) -> None:
     print(f"\nfit of {seconds:g} s: {time.perf_counter() - begin:.2f} s, {time.process_time() - cpu:.2f} s of CPU")
 
 
-PART = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
-SUPPORT = StructuralMode(form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
-STRUCTURES = {  # by name: modes of a seed by place, and rate, Hz
-    "a part on the cap": (lambda seed: {"bearing1.x": [PART]}, 8192.0),
-    "a support": (lambda seed: {"bearing1.x": [SUPPORT]}, 8192.0),
+MODES_AND_RATES = {  # by name: modes of a seed by place, and rate, Hz
+    "a part on the cap": (lambda seed: {"bearing1.x": [PART_MODE]}, 8192.0),
+    "a support": (lambda seed: {"bearing1.x": [SUPPORT_MODE]}, 8192.0),
     "twelve modes": (lambda seed: {place: drawn_modes(3, 10 * seed + k) for k, place in enumerate(PLACES)}, 25600.0),
 }
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", MODES_AND_RATES)
 def test_structural_modes(name: str) -> None:
     """When they are found, how far kL is off then, and the time of a core that the search takes."""
-    modes, rate_hz = STRUCTURES[name]
+    modes, rate_hz = MODES_AND_RATES[name]
     seconds = float(os.environ.get("ROTORSCOPE_SECONDS", "60"))
     for seed in range(int(os.environ.get("ROTORSCOPE_SEEDS", "4"))):
         model, y = structural_record(modes(seed), seconds, rate_hz, seed)
@@ -120,9 +117,8 @@ def test_structural_modes(name: str) -> None:
             rolling.update(block)
         whole, last = time.process_time() - begin, rolling.snapshot()
         kL = [last.parameters[f"{place}.kL"] for place in model.places]
-        off = [
-            f"{100 * (p.value / STIFFNESS - 1):+.2f} +- {100 * p.sd / STIFFNESS:.2f}" for p in kL if p.value and p.sd
-        ]
+        percent = [(100 * p.value / STIFFNESS_N_M, 100 * p.sd / STIFFNESS_N_M) for p in kL if p.value and p.sd]
+        off = [f"{value - 100:+.2f} +- {sd:.2f}" for value, sd in percent]
         found_s = (last.extra or {}).get(BACKGROUND_KEY)
         print(
             f"\n{name}, {seconds:.0f} s: found {'never' if found_s is None else f'at {found_s:.0f} s'}, kL off by "

@@ -261,7 +261,7 @@ def test_strengths_are_what_was_asked(effect: Effect, fraction: float) -> None:
         assert rms(effect, p, AT) == pytest.approx(fraction * AT.force, rel=0.05)
 
 
-CHARACTER = {  # state and power, by hand; every other effect has no law of the states alone
+STATE_AND_POWER = {  # state and power, by hand; every other effect has no law of the states alone
     "cubic": ("displacement", 3),
     "quintic": ("displacement", 5),
     "quadratic": ("displacement", 2),
@@ -281,8 +281,8 @@ CHARACTER = {  # state and power, by hand; every other effect has no law of the 
 
 @of(ALL)
 def test_state_and_power_are_those_of_the_law(effect: Effect) -> None:
-    if effect.name in CHARACTER:
-        assert (effect.state, effect.power) == CHARACTER[effect.name]
+    if effect.name in STATE_AND_POWER:
+        assert (effect.state, effect.power) == STATE_AND_POWER[effect.name]
     else:
         assert effect.state in ("time", "shaft_angle", "none")
 

@@ -15,7 +15,8 @@ import pytest
 from daq.commands.cli.app import main
 from daq.rig.rig import Rig
 
-ROOT = Path(__file__).parents[3]
+REPOSITORY_ROOT = Path(__file__).parents[3]
+CONFIGS_FOLDER = REPOSITORY_ROOT / "configs"
 STAND_IN = '''
 import numpy as np
 
@@ -86,13 +87,13 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("ross") is None, reason="ROSS is not installed")
 def test_the_example_of_the_manual_is_what_ross_makes(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "rotor-models.md").read_text("utf-8")
+    page = (REPOSITORY_ROOT / "docs" / "rotor-models.md").read_text("utf-8")
     script = re.search(r"^    import ross.*?(?=^\S)", page, re.S | re.M)
     assert script is not None
     subprocess.run([sys.executable, "-c", textwrap.dedent(script[0])], cwd=tmp_path, check=True, capture_output=True)
     assert main(["rotor", str(tmp_path / "two_discs_ross.toml"), "--out", str(tmp_path / "two_discs.npz")]) == 0
-    example = Rig.parse((ROOT / "configs" / "two_discs.toml").read_text("utf-8"), tmp_path, tmp_path / "rig.toml")
-    stored = Rig.parse(example.text, ROOT / "configs", ROOT / "configs" / "two_discs.toml")
+    example = Rig.parse((CONFIGS_FOLDER / "two_discs.toml").read_text("utf-8"), tmp_path, tmp_path / "rig.toml")
+    stored = Rig.parse(example.text, CONFIGS_FOLDER, CONFIGS_FOLDER / "two_discs.toml")
     assert example.model.rotor is not None
     assert stored.model.rotor is not None
     for name in "MCK":

@@ -13,13 +13,13 @@ from daq.base.contract.errors import ConfigError
 from daq.commands.cli.app import main
 from daq.rig.rig import Rig, load_rig
 
-CONFIGS = Path(__file__).parents[3] / "configs"
-TEXT = (CONFIGS / "two_discs.toml").read_text("utf-8")
+CONFIGS_FOLDER = Path(__file__).parents[3] / "configs"
+EXAMPLE_RIG = (CONFIGS_FOLDER / "two_discs.toml").read_text("utf-8")
 Arrays = dict[str, np.ndarray]
 
 
 def given() -> Arrays:
-    with np.load(CONFIGS / "two_discs.npz") as arrays:
+    with np.load(CONFIGS_FOLDER / "two_discs.npz") as arrays:
         return {name: arrays[name] for name in arrays.files}
 
 
@@ -61,7 +61,7 @@ def with_entry(i: int, j: int, factor: float) -> Callable[[np.ndarray], np.ndarr
     ],
 )
 def test_matrices_that_are_none_of_a_shaft(arrays: Arrays, expected: str, tmp_path: Path) -> None:
-    lines = said(tmp_path, TEXT, arrays)
+    lines = said(tmp_path, EXAMPLE_RIG, arrays)
     assert len(lines.splitlines()) == 1
     assert re.search(expected, lines), lines
 
@@ -88,7 +88,7 @@ def test_matrices_that_are_none_of_a_shaft(arrays: Arrays, expected: str, tmp_pa
     ],
 )
 def test_what_does_not_fit_together(old: str, new: str, expected: str, tmp_path: Path) -> None:
-    text = TEXT.replace(old, new)
+    text = EXAMPLE_RIG.replace(old, new)
     if not expected:
         text = text.replace('effects = ["cubic"]', 'effects = ["cubic", "imbalance"]')
         expected = "acts on a disc: name one in \\[rig.rotor\\] discs"
@@ -97,13 +97,13 @@ def test_what_does_not_fit_together(old: str, new: str, expected: str, tmp_path:
 
 
 def test_gyroscopic_moments_need_both_directions(tmp_path: Path) -> None:
-    head, *channels = TEXT.split("[[channel]]")
+    head, *channels = EXAMPLE_RIG.split("[[channel]]")
     only_x = head + "".join(f"[[channel]]{c}" for c in channels if 'direction = "x"' in c)
     assert "drive is measured in x alone: measure both directions, or leave G out" in said(tmp_path, only_x, given())
 
 
 def test_a_log_holds_the_matrices() -> None:
-    rig = load_rig(CONFIGS / "two_discs.toml")
+    rig = load_rig(CONFIGS_FOLDER / "two_discs.toml")
     attached = rig.attachments()
     assert set(attached) == {"rig.toml", "rotor.npz"}
     again = Rig.parse(attached["rig.toml"].decode(), attached=attached)
@@ -117,8 +117,8 @@ def test_a_log_holds_the_matrices() -> None:
 def test_a_rig_file_that_comes_out_of_a_log_brings_its_matrices(tmp_path: Path) -> None:
     moved = tmp_path / "models"
     moved.mkdir()
-    (moved / "shaft.npz").write_bytes((CONFIGS / "two_discs.npz").read_bytes())
-    (tmp_path / "rig.toml").write_text(TEXT.replace("two_discs.npz", "models/shaft.npz"))
+    (moved / "shaft.npz").write_bytes((CONFIGS_FOLDER / "two_discs.npz").read_bytes())
+    (tmp_path / "rig.toml").write_text(EXAMPLE_RIG.replace("two_discs.npz", "models/shaft.npz"))
     log = tmp_path / "log.mcap"
     simulate = ["simulate", str(tmp_path / "rig.toml"), "--out", str(log), "--seconds", "0.2", "--speed", "max"]
     assert main(simulate) == 0
@@ -129,7 +129,7 @@ def test_a_rig_file_that_comes_out_of_a_log_brings_its_matrices(tmp_path: Path) 
     assert load_rig(out).model.rotor is not None
 
 
-INLINE = """schema = 1
+INLINE_RIG = """schema = 1
 [rig]
 shaft = "matrices"
 [rig.rotor]
@@ -149,15 +149,16 @@ unit = "g"
 
 
 def test_small_matrices_may_stand_in_the_rig_file_and_both_planes_are_alike() -> None:
-    rotor = Rig.parse(INLINE).model.rotor
+    rotor = Rig.parse(INLINE_RIG).model.rotor
     assert rotor is not None
     assert rotor.dofs == ("drive.x", "free.x", "shaft1.x", "drive.y", "free.y", "shaft1.y")
     assert rotor.discs == ()
 
 
 def test_bearings_of_a_rig_without_shaft_have_names_too() -> None:
-    text = INLINE[: INLINE.index("[rig.rotor]")].replace('"matrices"', '"none"\nbearings = ["drive", "mid", "free"]')
-    text += INLINE[INLINE.index("[band]") :]
+    head = INLINE_RIG[: INLINE_RIG.index("[rig.rotor]")]
+    text = head.replace('"matrices"', '"none"\nbearings = ["drive", "mid", "free"]')
+    text += INLINE_RIG[INLINE_RIG.index("[band]") :]
     assert Rig.parse(text).model.bearings == ("drive", "mid", "free")
     with pytest.raises(ConfigError, match="joins two bearings, not 3"):
         Rig.parse(text.replace('"none"', '"chain"'))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.fft import irfft
+from structural_rig import SUPPORT_MODE
 
 from estimator import Channel, Model, fit
-from estimator.model.background import StructuralMode
 
 RATE_HZ, SECONDS = 8192.0, 16.0
 CAPS_KG, DISC_KG, SHAFT_N_PER_M = np.array([0.5, 0.65]), 4.0, 8e5
 KL = CAPS_KG * (2 * np.pi * np.array([400.0, 470.0])) ** 2
 DAMPING = np.array([60.0, 70.0])
-SUPPORT = StructuralMode(form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
 
 
 def rig(shaft: float = SHAFT_N_PER_M) -> Model:
@@ -26,7 +25,7 @@ def record(seed: int) -> np.ndarray:
     n = int(SECONDS * RATE_HZ)
     s = 2j * np.pi * np.maximum(np.arange(n // 2 + 1) / SECONDS, 1.0)
     bearings = KL + s[:, None] * DAMPING
-    bearings[:, 0] = 1.0 / (1.0 / bearings[:, 0] + SUPPORT.compliance(s))
+    bearings[:, 0] = 1.0 / (1.0 / bearings[:, 0] + SUPPORT_MODE.compliance(s))
     Z = np.zeros((s.size, 3, 3), complex)
     Z += SHAFT_N_PER_M * np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])
     for i in range(2):

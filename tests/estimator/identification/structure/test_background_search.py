@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.fft import irfft
 from scipy.signal import cheby2, sosfilt
+from structural_rig import CAP_MASS_KG, DAMPING_N_S_M, PART_MODE, STIFFNESS_N_M, SUPPORT_MODE
 
 from estimator import Channel, Model, compare, fit
 from estimator.identification.structure.cross_spectra import CrossSpectra
@@ -15,39 +16,36 @@ from estimator.identification.structure.joint_spectrum import JointSpectrum, Joi
 from estimator.model.background import BearingBackground, StructuralMode
 
 RATE_HZ = 8192.0
-MASS, STIFFNESS, DAMPING = 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
-SUPPORT = StructuralMode(form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
-PART = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
 
 
 HEAVY_SUPPORTS = (
-    StructuralMode(form="support", mass=3.15 * MASS, frequency_hz=283.0, damping=0.03),
-    StructuralMode(form="support", mass=2.63 * MASS, frequency_hz=516.0, damping=0.02),
+    StructuralMode(form="support", mass=3.15 * CAP_MASS_KG, frequency_hz=283.0, damping=0.03),
+    StructuralMode(form="support", mass=2.63 * CAP_MASS_KG, frequency_hz=516.0, damping=0.02),
 )
 
 
-def record_with_modes(seconds: float, supports: tuple[StructuralMode, ...] = (SUPPORT,)) -> np.ndarray:
+def record_with_modes(seconds: float, supports: tuple[StructuralMode, ...] = (SUPPORT_MODE,)) -> np.ndarray:
     """(n, 1) acceleration of a cap on its bearing, with modes of the support and a part on the cap."""
     n = int(seconds * RATE_HZ)
     f = np.arange(n // 2 + 1) / seconds
     s = 2j * np.pi * np.maximum(f, 1.0)
-    D = STIFFNESS + DAMPING * s
-    w0 = 2 * np.pi * PART.frequency_hz
-    part = PART.mass * s**2 * (w0**2 + 2 * PART.damping * w0 * s) / PART.denominator(s)
+    D = STIFFNESS_N_M + DAMPING_N_S_M * s
+    w0 = 2 * np.pi * PART_MODE.frequency_hz
+    part = PART_MODE.mass * s**2 * (w0**2 + 2 * PART_MODE.damping * w0 * s) / PART_MODE.denominator(s)
     bearing = 1.0 / (1.0 / D + sum(mode.compliance(s) for mode in supports))
     rng = np.random.default_rng(5)
     force = rng.normal(size=f.size) + 1j * rng.normal(size=f.size)
-    return irfft(force * s**2 / (MASS * s**2 + bearing + part), n)[:, None] * 100.0
+    return irfft(force * s**2 / (CAP_MASS_KG * s**2 + bearing + part), n)[:, None] * 100.0
 
 
 def rig() -> Model:
-    return Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 1800.0), mass={"bearing1": MASS})
+    return Model((Channel("b1x", "bearing1", "x"),), band=(100.0, 1800.0), mass={"bearing1": CAP_MASS_KG})
 
 
 def test_structural_modes_are_found_and_leave_stiffness_and_damping_right() -> None:
     y = record_with_modes(24.0)
     found = fit(rig(), y, RATE_HZ)
-    for name, true in (("kL", STIFFNESS), ("c", DAMPING)):
+    for name, true in (("kL", STIFFNESS_N_M), ("c", DAMPING_N_S_M)):
         parameter = found.parameters[f"bearing1.x.{name}"]
         assert parameter.value is not None
         assert parameter.sd is not None
@@ -62,25 +60,25 @@ def test_heavy_modes_of_the_support_are_not_taken_for_masses_on_the_cap() -> Non
     """Masses on the cap of a softer bearing move it alike, but for their damping."""
     found = fit(rig(), record_with_modes(24.0, HEAVY_SUPPORTS), RATE_HZ)
     kL = found.parameters["bearing1.x.kL"]
-    assert kL.value == pytest.approx(STIFFNESS, rel=0.05)
+    assert kL.value == pytest.approx(STIFFNESS_N_M, rel=0.05)
 
 
 def test_a_form_that_the_record_does_not_tell_widens_the_interval_of_stiffness() -> None:
     """One mode of 8 % damping beside a bearing of 9 %: under it, or on the cap of a bearing that is 20 % softer."""
-    support = StructuralMode(form="support", mass=12.0 * MASS, frequency_hz=420.0, damping=0.08)
+    support = StructuralMode(form="support", mass=12.0 * CAP_MASS_KG, frequency_hz=420.0, damping=0.08)
     found = fit(rig(), record_with_modes(8.0, (support,)), RATE_HZ)
     kL = found.parameters["bearing1.x.kL"]
     assert kL.value is not None
     assert kL.sd is not None
-    assert abs(kL.value - STIFFNESS) < 2.5 * kL.sd
-    assert kL.sd > 0.02 * STIFFNESS
+    assert abs(kL.value - STIFFNESS_N_M) < 2.5 * kL.sd
+    assert kL.sd > 0.02 * STIFFNESS_N_M
 
 
 def test_an_unknown_filter_is_a_fall_of_the_force_spectrum_and_no_mode() -> None:
     sos = cheby2(8, 60.0, 3100.0, output="sos", fs=RATE_HZ)
     model = replace(rig(), band=(100.0, 2600.0))
     found = fit(model, sosfilt(sos, record_with_modes(24.0), axis=0), RATE_HZ)
-    for name, true in (("kL", STIFFNESS), ("c", DAMPING)):
+    for name, true in (("kL", STIFFNESS_N_M), ("c", DAMPING_N_S_M)):
         parameter = found.parameters[f"bearing1.x.{name}"]
         assert parameter.value is not None
         assert parameter.value == pytest.approx(true, rel=0.05)

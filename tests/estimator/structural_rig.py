@@ -10,7 +10,10 @@ from scipy.fft import irfft
 from estimator.model.background import StructuralMode
 from estimator.model.rig import Channel, Model
 
-MASS, STIFFNESS, DAMPING = 0.5, 0.5 * (2 * np.pi * 400.0) ** 2, 60.0
+CAP_MASS_KG, DAMPING_N_S_M = 0.5, 60.0
+STIFFNESS_N_M = CAP_MASS_KG * (2 * np.pi * 400.0) ** 2
+SUPPORT_MODE = StructuralMode(form="support", mass=3.0, frequency_hz=290.0, damping=0.02)
+PART_MODE = StructuralMode(form="attached", mass=0.02, frequency_hz=900.0, damping=0.02)
 
 
 def structural_record(
@@ -25,14 +28,14 @@ def structural_record(
     s = 2j * np.pi * np.maximum(f, 1.0)
     y = np.empty((n, len(modes)))
     for k, own in enumerate(modes.values()):
-        bearing = STIFFNESS + DAMPING * s
+        bearing = STIFFNESS_N_M + DAMPING_N_S_M * s
         bearing = bearing / (1.0 + bearing * sum(m.compliance(s) for m in own))
-        stiffness = MASS * s**2 + bearing + sum(m.attached_stiffness(s) for m in own)
+        stiffness = CAP_MASS_KG * s**2 + bearing + sum(m.attached_stiffness(s) for m in own)
         force = (rng.normal(size=f.size) + 1j * rng.normal(size=f.size)) * 2500.0 / np.abs(s)
         y[:, k] = irfft(100.0 * force * s**2 / stiffness, n)
     caps = {place: place.split(".")[0] for place in modes}
     channels = tuple(Channel(place, cap, place[-1]) for place, cap in caps.items())
-    return Model(channels, band=(100.0, 0.22 * rate_hz), mass=dict.fromkeys(caps.values(), MASS)), y
+    return Model(channels, band=(100.0, 0.22 * rate_hz), mass=dict.fromkeys(caps.values(), CAP_MASS_KG)), y
 
 
 def drawn_modes(count: int, seed: int) -> list[StructuralMode]:
@@ -41,7 +44,7 @@ def drawn_modes(count: int, seed: int) -> list[StructuralMode]:
     out = []
     for f_hz, damping in zip(rng.uniform(500.0, 3000.0, count), rng.uniform(0.008, 0.03, count), strict=True):
         attached = bool(rng.random() < 0.75)
-        mass = MASS * (rng.uniform(0.02, 0.08) if attached else rng.uniform(2.0, 10.0))
+        mass = CAP_MASS_KG * (rng.uniform(0.02, 0.08) if attached else rng.uniform(2.0, 10.0))
         form = "attached" if attached else "support"
         out.append(StructuralMode(form=form, mass=mass, frequency_hz=float(f_hz), damping=float(damping)))
     return out
