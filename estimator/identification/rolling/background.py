@@ -46,14 +46,14 @@ SLOW_MACHINE = 4.0  # times as long as that a search may take, before an estimat
 
 
 @dataclass(slots=True)
-class Finding:
-    """What a search found. stiffness : N/m by place. first : the fit of the whole with it; None of a part."""
+class FoundBackground:
+    """A background that a search found. stiffness : N/m by place. first : the fit with it; None of a part."""
 
     stiffness: Mapping[str, float]
     first: FirstFit | None = None
 
 
-Search = Callable[[], Finding | None]
+Search = Callable[[], FoundBackground | None]
 Run = Callable[[Search], Search]
 
 
@@ -117,7 +117,7 @@ class BackgroundSearch:
         self._next = seen + max(self._part // 2, int(SLOW_MACHINE * (allowed_s + self._samples_s) * self._rate_hz))
         return None
 
-    def _end(self, seen: int, found: Finding | None) -> FirstFit | None:
+    def _end(self, seen: int, found: FoundBackground | None) -> FirstFit | None:
         """End a search."""
         self._search, work_s = None, min(self._work.done, self._work.limit) / DERIVATIVES_PER_S
         self._spent_s += self._samples_s + work_s
@@ -142,7 +142,7 @@ def _agree(parts: Sequence[Mapping[str, float]]) -> bool:
 
 def _searched(
     first: FirstFit, whole: bool, lines: Model, y: Array, rate_hz: float, block: int, work: Work
-) -> Finding | None:  # fmt: skip
+) -> FoundBackground | None:  # fmt: skip
     """The structural modes and the spectrum of the force that some rows show; None without any, or beyond the work.
 
     first : the fit so far. whole : fit them too; None where the fit explains the spectra no better than one effect of
@@ -157,14 +157,14 @@ def _searched(
         stiffness = dict(zip(data.places, np.einsum("iik->ik", point.mean_tangent)[:, 0].tolist(), strict=True))
         stiffness |= {place: own.stiffness for place, own in background.at.items()}
         if not whole:
-            return Finding(stiffness)
+            return FoundBackground(stiffness)
         if background.agrees_with(model.background):
             return None
         if model.background is None and one_cause_is_enough(model, point, gain_nats):
             return None
         own = replace(model, background=background)
         point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))
-        return Finding(stiffness, replace(first, model=own, point=point)) if _is_explained(point) else None
+        return FoundBackground(stiffness, replace(first, model=own, point=point)) if _is_explained(point) else None
     except (DataError, NotFiniteError, SearchTooLongError, np.linalg.LinAlgError):
         return None
 

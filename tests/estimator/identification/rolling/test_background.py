@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from reference_rig import rig_model
 
-from estimator.identification.rolling.background import MAX_CORE_SHARE, BackgroundSearch, Finding, Search
+from estimator.identification.rolling.background import MAX_CORE_SHARE, BackgroundSearch, FoundBackground, Search
 from estimator.identification.rolling.start import FirstFit
 from estimator.identification.structure.cross_spectra import SearchTooLongError
 
 RATE_HZ, BLOCK, HOUR_S = 8192.0, 2048, 3600.0
-Answer = Callable[["partial[Finding | None]"], Finding | None]
+Answer = Callable[["partial[FoundBackground | None]"], FoundBackground | None]
 
 
 def begun_s(answer: Answer) -> list[float]:
@@ -44,7 +44,7 @@ def test_the_next_search_comes_after_twice_the_time_where_nothing_was_found() ->
 def test_searches_that_are_given_up_take_no_more_than_their_share_of_a_core() -> None:
     limits = []
 
-    def endless(search: "partial[Finding | None]") -> None:
+    def endless(search: "partial[FoundBackground | None]") -> None:
         work = search.args[-1]
         limits.append(work.limit / 2e7)  # seconds of a core
         with suppress(SearchTooLongError):
@@ -59,9 +59,9 @@ def test_searches_that_are_given_up_take_no_more_than_their_share_of_a_core() ->
 def test_parts_that_agree_are_searched_as_one() -> None:
     wholes = []
 
-    def same(search: "partial[Finding | None]") -> Finding:
+    def same(search: "partial[FoundBackground | None]") -> FoundBackground:
         wholes.append(search.args[1])
-        return Finding({"bearing1.x": 1e6})
+        return FoundBackground({"bearing1.x": 1e6})
 
     begun_s(same)
     assert wholes[:5] == [False] * 4 + [True]
@@ -71,9 +71,9 @@ def test_parts_that_differ_are_not() -> None:
     stiffness = iter(1e6 * 1.08 ** np.arange(1000.0))
     wholes = []
 
-    def other(search: "partial[Finding | None]") -> Finding:
+    def other(search: "partial[FoundBackground | None]") -> FoundBackground:
         wholes.append(search.args[1])
-        return Finding({"bearing1.x": float(next(stiffness))})
+        return FoundBackground({"bearing1.x": float(next(stiffness))})
 
     begun_s(other)
     assert not any(wholes)

@@ -9,7 +9,7 @@ from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 from scipy.fft import irfft
 
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.rolling.background import Finding, Search
+from estimator.identification.rolling.background import FoundBackground, Search
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, watchable_effects
 from estimator.model.background import StructuralMode
@@ -90,11 +90,11 @@ def test_structural_modes_become_part_of_the_estimate_once_they_are_sure() -> No
 @pytest.mark.slow
 def test_a_search_in_a_thread_gives_the_same_bits() -> None:
     def in_a_thread(search: Search) -> Search:
-        found: list[Finding | None] = []
+        found: list[FoundBackground | None] = []
         thread = threading.Thread(target=lambda: found.append(search()))
         thread.start()
 
-        def result() -> Finding | None:
+        def result() -> FoundBackground | None:
             thread.join()
             return found[0]
 
