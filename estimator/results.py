@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NOT_JUDGED = "not_judged"  # code of the message of a record of which nothing can be judged
+NOT_CONCLUSIVE = "inconclusive"  # code of the message that no missing force is found, but one could hide
 RIG_FILE = "rig_file"  # verdict on a mistake in the rig file, and code of the message that says what to check
 MAX_P_VALUE_DIFFERENT = 0.01  # places differ below this p-value
 

@@ -23,7 +23,7 @@ from daq.report.words import message_text
 from daq.rig.edit import of_channels, with_effect, with_values
 from daq.rig.rig import Rig, check_laws, load_rig
 from estimator.effects import MORE_LINES
-from estimator.results import NOT_JUDGED, Fit, Parameter, shared
+from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, Fit, Parameter, shared
 
 REPORT_MODULES = ("matplotlib", "jinja2")
 IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
@@ -115,7 +115,7 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
         if value.get(name):
             people.append(f"{text}: " + ", ".join(f"{c} {number(d)}" for c, d in value[name].items()))
     people += [f"note: {message}" for message in value.get("messages", ())]
-    if not message_text(value, {NOT_JUDGED}):  # a note above
+    if not message_text(value, {NOT_JUDGED, NOT_CONCLUSIVE}):  # a note above
         people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)
     return people
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from estimator.effects import CATALOGUE
 from estimator.errors import DataError
-from estimator.results import NOT_JUDGED, RIG_FILE
+from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, RIG_FILE
 
 if TYPE_CHECKING:
     from estimator.diagnosis.verdict import Improvement
@@ -147,7 +147,8 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
-        "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
+        "unknown": message_text(value, {NOT_CONCLUSIVE})
+        or f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
     }.get(name, f"{'missing' if is_of_the_model(value) else 'found in the signal'}: {name}; {known}")
     return [*people, f"verdict: {name}", _not_judged(value) or message_text(value, {RIG_FILE}) or verdict]
 
@@ -200,7 +201,7 @@ def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
-    if text := message_text(last, {NOT_JUDGED, RIG_FILE}):
+    if text := message_text(last, {NOT_JUDGED, RIG_FILE, NOT_CONCLUSIVE}):
         return text
     if verdict == "unknown":
         laid = message_text(last, NO_LAW_CODES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from estimator.results import NOT_JUDGED, RIG_FILE
+from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, RIG_FILE
 
 from .numbers import number, odds, parameter, percent
 
@@ -50,7 +50,7 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
 def about_comparison(comparison: Json) -> list[str]:
     missing = comparison["missing_force_percent"]
     span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"
-    if text := message_text(comparison, {NOT_JUDGED}):
+    if text := message_text(comparison, {NOT_JUDGED, NOT_CONCLUSIVE}):
         said = [f"{text[0].upper()}{text[1:]}."]
     elif comparison["adequate"]:
         said = [f"The model explains this record: the missing force is {span} of the bearing force."]
@@ -85,7 +85,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "unknown":
         from estimator.diagnosis.verdict import NO_LAW_CODES
 
-        if text := message_text(diagnosis, {NOT_JUDGED}):
+        if text := message_text(diagnosis, {NOT_JUDGED, NOT_CONCLUSIVE}):
             return [f"Diagnosis: unknown. {text[0].upper()}{text[1:]}."]
         if laid := message_text(diagnosis, NO_LAW_CODES):
             return [f"Diagnosis: unknown. A force is missing that is not a law of a bearing: {laid}."]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from estimator.arrays import Array, return_freed_memory
@@ -11,11 +12,15 @@ from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.search import search
+from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
+from estimator.results import NOT_CONCLUSIVE, Message
+
+MAX_HIDDEN_FORCE_PERCENT = 3.0  # of the bearing force: the least effect that users are promised to be told
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BearingSurvey:
     """What a fitted model leaves over.
 
@@ -34,11 +39,35 @@ class BearingSurvey:
     findings: tuple[Finding, ...]
 
     @property
-    def adequate(self) -> bool:
-        """Whether nothing is missing: no force is found, or a negligible one, or one that may be zero."""
+    def explained(self) -> bool:
+        """Whether nothing missing is found: no force, or a negligible one, or one that may be zero."""
         value, low, _ = self.missing.interval()
         least = 100 * missing_force.NEGLIGIBLE_FORCE_SHARE
         return not self.missing.any_found() or value < least or low <= 0.0
+
+    @cached_property
+    def inconclusive(self) -> Message | None:
+        """Why a missing force could hide where none is found; None where the record would show it.
+
+        Structural modes, or the spectrum of the force, may explain what a law does where they leave the stiffness of
+        the bearing open.
+        """
+        loose = [p for p in self.part.data.places if not fitted_parameters(self.part)[f"{p}.kL"].identifiable]
+        hidden = self.missing.interval()[2]
+        if loose:
+            text = (
+                f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"
+            )
+            return Message(NOT_CONCLUSIVE, f"{text}; record longer, or add a channel at the other bearing")
+        if hidden > MAX_HIDDEN_FORCE_PERCENT:
+            text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
+            return Message(NOT_CONCLUSIVE, f"{text}; record longer")
+        return None
+
+    @property
+    def adequate(self) -> bool:
+        """Whether nothing is missing: no missing force is found, and none could hide."""
+        return self.explained and self.inconclusive is None
 
 
 def survey_bearing(

@@ -133,10 +133,10 @@ def judge_bearing(
     survey = survey or survey_bearing(model, point, y)[0]
     found = rank_on_part(model, survey, say)
     mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused)
-    if survey.adequate:
+    if survey.explained:
         if point.data.background is not None and (mistaken := mistake(entries=found.entries)) is not None:
             return mistaken
-        return _adequate(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
+        return _explained(Context(model=model, point=point, y=y, survey=survey, say=say), found.entries, refused)
     entries = found.entries if survey.part is point else rank_on_record(model, point, found, say).entries
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
@@ -167,8 +167,8 @@ def _is_tone(entry: Entry) -> bool:
     return entry.effect in PERIODIC_EFFECTS
 
 
-def _adequate(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
-    """The judgement of an adequate model: complete, but for a periodic force that passes the gates.
+def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
+    """The judgement where no missing force is found: complete if none could hide, but for a periodic force that passes.
 
     Structural modes show that a record holds its surroundings, and every shaft has some 1X and 2X: beside modes these
     are named by their severity alone.
@@ -183,6 +183,8 @@ def _adequate(context: Context, entries: list[Entry], refused: frozenset[str]) -
             named[0].effect, ranking, separates=separation_text(ranking), messages=named[0].notes
         )  # fmt: skip
     forces = [_measured_force_message(context.point)] if context.point.data.measured_force else []
+    if (doubt := context.survey.inconclusive) is not None:
+        return BearingJudgement("unknown", tuple(rest), messages=(doubt, *forces))
     return BearingJudgement("complete", tuple(rest), messages=tuple(forces))
 
 
@@ -254,7 +256,7 @@ def _law_beside(
     rate_hz = whole.point.data.rate_hz
     part = y[: int(missing_force.survey_seconds(rate_hz) * rate_hz)]
     survey = survey_bearing(whole.model, whole.point, part)[0]
-    if survey.adequate or not survey.missing.places_found():
+    if survey.explained or not survey.missing.places_found():
         return None
     found = rank_on_part(whole.model, survey, say)
     context = Context(model=whole.model, point=whole.point, y=part, survey=survey, say=say)

@@ -40,12 +40,12 @@ def explaining_mistake(
         mistake = likeliest_mistake(bare, y, rate_hz)
         if mistake is None:
             return None
-        if survey is None or not survey.adequate:
+        if survey is None or not survey.explained:
             corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
             whole = fit_all_effects(corrected, y, rate_hz)
             left = survey_bearing(whole.model, whole.point, y)[0]
             after = left.missing.interval()[0]
-            if not left.adequate and not _explains(survey, left):
+            if not left.explained and not _explains(survey, left):
                 return None
     except (DataError, np.linalg.LinAlgError):
         return None

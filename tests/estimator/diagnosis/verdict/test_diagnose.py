@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hidden_effects import schema
 
-from estimator import Channel, DataError, EffectUse, Model, compare, diagnose, fit, improve
+from estimator import Channel, DataError, EffectUse, Model, Setting, compare, diagnose, fit, improve, simulate
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
@@ -28,7 +28,7 @@ from estimator.identification.machine import (
 from estimator.identification.record import ChannelSummary, RecordSurvey
 from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
-from estimator.results import NOT_JUDGED, Message
+from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, Message
 
 RATE_HZ = 5120.0
 ONE_CAP_RIG = Model(
@@ -193,3 +193,16 @@ def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else
     assert found.ranking[0].parameters[key].value == pytest.approx(value)
     assert verdict(judged("cubic"), model=rig, remarks=(remark,)).verdict == "cubic"
     assert verdict(judged("complete"), model=rig).verdict == "complete"
+
+
+def test_complete_is_not_said_where_an_effect_of_three_per_cent_could_hide() -> None:
+    """A short record of a well damped cap shows nothing, and would not show an effect of 4 % of the bearing force."""
+    cap = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(283.0), "S": Setting(1e-4)}}
+    rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    y = simulate(rig, rate_hz=25600.0, seconds=0.7, seed=1)
+    compared, found = compare(rig, y, 25600.0), diagnose(rig, y, 25600.0)
+    assert compared.missing[0] == 0.0 < 3.0 < compared.missing[2]
+    assert not compared.adequate
+    assert found.verdict == "unknown"
+    for messages in (compared.messages, found.messages):
+        assert NOT_CONCLUSIVE in [message.code for message in messages]
