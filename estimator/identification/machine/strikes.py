@@ -192,10 +192,15 @@ def _named(found: Iterable[_ChannelSearch], kinds: Sequence[Kinematic]) -> list[
 
 
 def _is_whole(v: Verdict, speed: ShaftSpeed) -> bool:
-    """Whether a comb has its first harmonic, and that within the slip."""
+    """Whether a comb has its first harmonic, and that within the slip.
+
+    Where another cause has a line at the first harmonic, an odd one shows that the fundamental is not twice as high.
+    """
     numbers, _ = clear_harmonics(v.comb)
+    first = int(v.comb.table.bins_at(np.array([v.comb.hz]))[0])
+    has_first = numbers[:1] == 1 if v.comb.table.usable[first] else numbers % 2 == 1
     slip = refined_fundamental(v.comb) / (speed.hz * v.kind.order) - 1.0
-    return bool(numbers.size and numbers[0] == 1) and abs(slip) <= _slip_reach(speed)
+    return bool(np.any(has_first)) and abs(slip) <= _slip_reach(speed)
 
 
 def _is_free_train(comb: Comb) -> bool:

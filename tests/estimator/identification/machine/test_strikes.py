@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
@@ -68,6 +70,15 @@ def test_a_defect_is_named(name: str, order: float, load_order: float, jitter: f
     assert train.p_value < 1e-3
     assert train.severity > 0.1
     assert train.channel == "y"
+
+
+def test_a_train_whose_first_harmonic_a_shaft_order_hides_has_no_other_name() -> None:
+    """BPFO is three turns of the shaft, and twice BPFO is BPFI."""
+    bearing = BearingGeometry(balls=9, ball_diameter=10e-3, pitch_diameter=30e-3, groove_radius=5.2e-3)
+    x = noise(3) + strikes(2.97, 4.0, 4, 0.02)
+    (train,) = survey_machine(replace(MODEL, bearing=bearing), x[:, None], RATE_HZ).strikes
+    assert train.name == "BPFO"
+    assert train.order == pytest.approx(2.95, abs=0.03)
 
 
 def test_a_train_at_no_order_of_the_bearing_is_other() -> None:
