@@ -45,6 +45,8 @@ class Finding:
         Remark for the user; empty where there is none.
     detectable : tuple of (float, str) or None
         Smallest size that the detector sees here and its unit; None where that is not known.
+    folds : tuple of float
+        Nats gained in each part of the band by what the other parts show; empty where that is not known.
     """
 
     effect: str
@@ -59,6 +61,7 @@ class Finding:
     settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)
     note: str = ""
     detectable: tuple[float, str] | None = None
+    folds: tuple[float, ...] = ()
 
 
 def is_cause_of_spectrum(effect: str) -> bool:

@@ -68,8 +68,9 @@ class Entry:
     force effect. detectable : smallest amplitude that would be claimed in this record, and its unit; None if unknown.
     settings : parameters of an effect that is no force law, by its name in a model. notes : for the user.
     amplitude_gain : nats on the largest amplitudes by parameters fitted to the smaller ones; None if not judged.
-    by_node : gain and heldout_gain of a law at each node, nats. folds : nats gained on each held-out time fold; empty
-    where they are not known. gates : those that were asked, in order; only the last one may have refused.
+    by_node : gain and heldout_gain of a law at each node, nats. folds : nats gained on each held-out time fold, or part
+    of the band; empty where they are not known. gates : those that were asked, in order; only the last one may have
+    refused.
     """
 
     effect: str
@@ -271,6 +272,7 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
         score=gain - THRESHOLDS.parameter_cost_nats * df,
         detectable=own[0].detectable,
         settings=settings,
+        folds=tuple(np.sum([s.folds for s in own], axis=0).tolist()) if all(s.folds for s in own) else (),
         notes=tuple(
             Message("found_where" if k < len(regions) else "found_advice", text)
             for k, text in enumerate(dict.fromkeys([*regions, *(s.note for s in own if s.note)]))

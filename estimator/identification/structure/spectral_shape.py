@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from estimator.arrays import Array
+from estimator.arrays import Array, Complexes
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
@@ -30,6 +30,7 @@ from .spectral_cells import SpectralCells, cells_of, finite_exp, mean_power
 from .spectral_models import base_model, fit_base_model, fit_shape, pedestal_at_limit, spectral_causes
 
 MAX_SHAPE_P_VALUE = 1e-3
+BAND_PARTS = 6  # of the band, in which a shared force is tested alone: as many as there are folds in time
 MIN_DEPTH_RMS = 0.015  # of ln(power / model): errors of filters and integrators are smaller
 EXPLAINED_SHARE = 0.95  # of the misfit beyond chance, for a cause that leaves nothing to be explained
 MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance, for a cause
@@ -109,9 +110,7 @@ def _shape_findings(
         gain = found - level
         if gain < MIN_EXPLAINED_SHARE * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == PEDESTAL.name and (
-            pedestal_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)
-        ):
+        if shape.effect == PEDESTAL.name and (pedestal_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -195,9 +194,10 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
             continue
         noise, (a, b) = point.whitening.noise, (point.spectra[k].view(np.complex64) for k in (i, j))
         shape = force_correlation(data, noise.weight, i, j)
+        own = np.broadcast_to(noise.correlation(i, j), shape.shape)
         both = np.einsum("bk,bk->k", a, b.conj()) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real) * shape.size
         square = float(np.vdot(shape, shape).real)
-        rho = float(np.vdot(shape, both - noise.correlation(i, j)).real) / square
+        rho = float(np.vdot(shape, both - own).real) / square
         n = len(a) * square
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
@@ -218,9 +218,28 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
                 settings={place: {"rho": Parameter(rho, float(sd), "1")}},
                 note=CORRELATED_FORCE.distinguish,
                 detectable=(float(5 / np.sqrt(2 * n)), "1"),
+                folds=_gain_by_part(a, b, shape, own),
             )
         )
     return out
+
+
+def _gain_by_part(a: Complexes, b: Complexes, shape: Array, own: Array) -> tuple[float, ...]:
+    """Nats gained in each part of the band by the correlation of two forces that the other parts show.
+
+    A shared white force has one correlation in all of the band. A wrong model of the structure has one where it is
+    wrong.
+
+    a, b : (blocks, bins) spectra of the forces. shape : (bins,) correlation by bin where they are one. own : (bins,)
+    that of the noise.
+    """
+    seen, weight = np.zeros(BAND_PARTS), np.zeros(BAND_PARTS)
+    for k, part in enumerate(np.array_split(np.arange(shape.size), BAND_PARTS)):
+        x, y, s = a[:, part], b[:, part], shape[part]
+        both = np.einsum("bk,bk->k", x, y.conj()) / np.sqrt(np.vdot(x, x).real * np.vdot(y, y).real) * part.size
+        seen[k], weight[k] = np.vdot(s, both - own[part]).real, np.vdot(s, s).real
+    others = (seen.sum() - seen) / (weight.sum() - weight)
+    return tuple((len(a) * (2.0 * others * seen - others**2 * weight)).tolist())
 
 
 def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Finding]:
