@@ -2,7 +2,8 @@
 
 from .bearing import NO_LAW_CODES, BearingJudgement, judge_bearing
 from .diagnose import Diagnosis, diagnose
-from .improvement import Improvement, improve, rung
+from .improvement import Improvement, improve
+from .ladder import rung
 
 __all__ = [
     "NO_LAW_CODES",

@@ -27,8 +27,7 @@ from .clipped import with_clipped_channels
 from .signal_findings import (
     line_entries,
     rig_file_entry,
-    shaft_entries,
-    strike_entries,
+    signal_entries,
     tones_of_surroundings,
     whole_order_messages,
 )
@@ -171,11 +170,9 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     the rig file is named where nothing is missing, or nothing but a line has a name.
     """
     record, machine = layers.record, layers.machine
-    there = {use.name for use in model.effects}
-    signal = [*strike_entries(model, machine), *shaft_entries(model, record, machine)]
-    if not bearing.judged:
+    signal = signal_entries(model, record, machine)
+    if not bearing.judged and all(use.name != LINE.name for use in model.effects):
         signal += line_entries(model, record, machine)
-    signal = [entry for entry in signal if entry.effect not in there]
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)
     verdict = bearing.verdict if keeps or first is None else first.effect

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.effects import LINE_NAMES
+from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
+from estimator.effects.places import places
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
@@ -24,7 +25,7 @@ from estimator.identification.machine import (
 )
 from estimator.identification.record import RecordSurvey
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
-from estimator.model.rig import MOTION_UNITS, Model
+from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import RIG_FILE, Message, Parameter
 
 from .mistake import mistake_entry
@@ -71,6 +72,22 @@ class Thresholds:
 
 
 MACHINE_THRESHOLDS = Thresholds()
+
+
+def signal_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
+    """Candidates that the signal shows and the model does not have: strikes, then imbalance or misalignment."""
+    there = {use.name for use in model.effects}
+    found = [*strike_entries(model, machine), *shaft_entries(model, record, machine)]
+    return [entry for entry in found if entry.effect not in there]
+
+
+def signal_use(model: Model, entry: Entry) -> EffectUse:
+    """The effect of a candidate of the signal as a model holds it: with an order that is known, without strengths."""
+    name, node = entry.effect, entry.at[0]
+    can = places(NAMED[name], model)
+    at = [place for place in can if place.split(".")[0] == node] or can
+    known = {key.rsplit(".", 1)[1]: Setting(p.value) for key, p in entry.parameters.items()}
+    return EffectUse(name, {place: dict(known) for place in at})
 
 
 def strike_entries(model: Model, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS) -> list[Entry]:

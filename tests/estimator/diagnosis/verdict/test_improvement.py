@@ -14,7 +14,8 @@ from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.improvement import improve, improvement, refitted_with_found
+from estimator.diagnosis.verdict.improvement import improve, improvement
+from estimator.diagnosis.verdict.ladder import refitted_with_found
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
