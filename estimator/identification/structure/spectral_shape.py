@@ -11,6 +11,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from estimator.arrays import Array, Complexes
@@ -224,7 +225,9 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
     return out
 
 
-def _gain_by_part(a: Complexes, b: Complexes, shape: Array, own: Array) -> tuple[float, ...]:
+def _gain_by_part(
+    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], shape: Complexes, own: Complexes
+) -> tuple[float, ...]:
     """Nats gained in each part of the band by the correlation of two forces that the other parts show.
 
     A shared white force has one correlation in all of the band. A wrong model of the structure has one where it is
