@@ -71,7 +71,8 @@ def constants(tree: ast.Module) -> Iterator[str]:
 
 def one_word(package: str) -> list[str]:
     """Constants of one word: a name has to say quantity and unit. Names of effects' objects are no constants."""
-    objects = {name.upper() for name in CATALOGUE} | {"CATALOGUE", "NAMED", "THRESHOLDS"}  # a room's table of limits
+    tables = {"CATALOGUE", "NAMED", "THRESHOLDS", "LIMITS"}  # of effects, and of a room's limits
+    objects = {name.upper() for name in CATALOGUE} | tables
     return [
         f"{path.relative_to(ROOT)}: {name}"
         for path, tree in sources(package).items()
@@ -163,12 +164,13 @@ def neighbours(path: Path, tree: ast.Module) -> set[Path]:
 
 
 def chains(package: str) -> dict[str, int]:
-    """The longest chain of imports inside each folder, in files."""
-    beside = {path: neighbours(path, tree) for path, tree in sources(package).items() if path.name != "__init__.py"}
+    """The longest chain of imports inside each folder, in files. A table of limits imports nothing and is no link."""
+    no_links = ("__init__.py", "thresholds.py")
+    beside = {path: neighbours(path, tree) for path, tree in sources(package).items() if path.name not in no_links}
 
     @cache
     def length(path: Path) -> int:
-        return 1 + max((length(other) for other in beside[path]), default=0)
+        return 1 + max((length(other) for other in beside[path] if other in beside), default=0)
 
     out: dict[str, int] = {}
     for path in beside:

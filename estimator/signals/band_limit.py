@@ -25,13 +25,9 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 
+from .thresholds import LIMITS
+
 Terms = Sequence[tuple[Array, Callable[[Array], Complexes]]]
-MAX_SAMPLE_SI = 1e15  # no sensor reads more: a larger sample counts as missing, as its powers would overflow
-DRIFT_OVER_LOW_EDGE = 0.05  # share of the lower band edge below which a displacement sensor shows offset and drift
-FORCE_DRIFT_OVER_LOW_EDGE = 0.02  # share of the lower band edge below which a force sensor shows offset and drift
-RESONANT_FILTER_LENGTHS = 2  # length of filters beside one that holds a resonance, over their usual length
-EDGE_SEARCH_POINTS = 2001  # frequencies about the lower edge at which a resonance is searched
-RESONANCE_GRID_HZ = 0.05  # resolves a resonance that rings for some seconds
 # powers of (i w) that turn what is measured into (a, v, x)
 _POWERS_OF_IW = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
 
@@ -102,7 +98,7 @@ def passband(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
 
 def below_band_gain(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """(f,) real gain of the displacement below the band that a displacement sensor gives."""
-    steady = np.exp(-0.5 * (f_hz / (DRIFT_OVER_LOW_EDGE * band[0])) ** 2)
+    steady = np.exp(-0.5 * (f_hz / (LIMITS.drift_over_low_edge * band[0])) ** 2)
     return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
 
 
@@ -115,7 +111,7 @@ def unmeasured_gain(f_hz: Array, rate_hz: float, band: tuple[float, float], kind
 def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     """Half the support of the filters, rows: the loss at each end of a record and beside each gap.
 
-    With the extra outputs of BandLimit all filters are RESONANT_FILTER_LENGTHS times as long.
+    With the extra outputs of BandLimit all filters are resonant_filter_lengths times as long.
     """
     stop1, pass1, pass2, stop2 = filter_edges_hz(rate_hz, band)
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
@@ -176,10 +172,10 @@ def _held(
     resonance near the lower edge the linear part begins beyond these bins.
     """
     low, high = band
-    width = 2 * RESONANT_FILTER_LENGTHS * rate_hz / half  # left out on either side of it: balance.shaft_notches
-    about = np.linspace(low - width, low + width, EDGE_SEARCH_POINTS)
+    width = 2 * LIMITS.resonant_filter_lengths * rate_hz / half  # left out on either side of it: balance.shaft_notches
+    about = np.linspace(low - width, low + width, LIMITS.edge_search_points)
     peak = int(np.argmax(np.abs(response(about))))
-    if 0 < peak < EDGE_SEARCH_POINTS - 1:
+    if 0 < peak < LIMITS.edge_search_points - 1:
         low = float(about[peak]) + width
     step = 1e-3 * low
 
@@ -191,7 +187,7 @@ def _held(
             out[beyond] = at + (f[beyond] - edge) * (near - at) / inward
         return out
 
-    size = 1 << int(np.ceil(np.log2(rate_hz / RESONANCE_GRID_HZ)))
+    size = 1 << int(np.ceil(np.log2(rate_hz / LIMITS.resonance_grid_hz)))
     f: Array = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
     fine = continued(f)
     inside = np.abs(fine[(f > low) & (f < high)])
@@ -239,7 +235,7 @@ class BandLimit:
         dtype: type[np.floating[Any]] = np.float64,
     ) -> None:
         self.kinds, self.rate_hz, self.band, self._dtype = tuple(kinds), rate_hz, band, dtype
-        self.half = half_length(rate_hz, band) * (RESONANT_FILTER_LENGTHS if extra else 1)
+        self.half = half_length(rate_hz, band) * (LIMITS.resonant_filter_lengths if extra else 1)
         self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
         slow = slow and "displacement" in self.kinds
@@ -266,7 +262,7 @@ class BandLimit:
         """The rows that became available by these (n, channels) rows, perhaps none; NaN where a sample is missing."""
         if y.ndim != 2 or y.shape[1] != len(self.kinds):
             raise ValueError(f"expected rows of {len(self.kinds)} channels, got an array of shape {y.shape}")
-        self._fresh.append(np.where(np.abs(y) <= MAX_SAMPLE_SI, y, np.nan))
+        self._fresh.append(np.where(np.abs(y) <= LIMITS.max_sample_si, y, np.nan))
         self._count += len(y)
         if self._count < self._size:
             return self._join([])
@@ -383,7 +379,7 @@ def out_of_band_sd(
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
     lost = np.array([unmeasured_gain(f, rate_hz, band, kind) for kind in kinds]) ** 2
     w = 2 * np.pi * f
-    S = S[:, None] + np.multiply.outer(driven, (f < FORCE_DRIFT_OVER_LOW_EDGE * band[0]) | (f >= band[0]))
+    S = S[:, None] + np.multiply.outer(driven, (f < LIMITS.force_drift_over_low_edge * band[0]) | (f >= band[0]))
     response = S / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
     return np.asarray(np.sqrt(both))
@@ -396,5 +392,5 @@ def below_band_force(force: Array, rate_hz: float, band: tuple[float, float]) ->
     size = next_fast_len(force.size, real=True)
     F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
     return np.asarray(
-        irfft(np.where((f >= FORCE_DRIFT_OVER_LOW_EDGE * band[0]) & (f < band[0]), F, 0.0), size)[: force.size]
+        irfft(np.where((f >= LIMITS.force_drift_over_low_edge * band[0]) & (f < band[0]), F, 0.0), size)[: force.size]
     )

@@ -16,14 +16,7 @@ from estimator.parallel import map_threads
 from .band_limit import to_acceleration
 from .channel_response import anti_alias_response
 from .shaft_angle import measured_phase
-
-NOISE_REACH_BINS, NOISE_STRIDE_BINS = 240, 4  # neighbours on either side for the local noise; step between them
-MIN_NOISE_REACH_BINS = 30  # neighbours on either side near 0 Hz, all used
-LINE_REACH_BINS = 20  # neighbours on either side among which a line has to dominate
-MIN_FORCE_HZ, BINS_PER_CHUNK = 2.0, 1 << 16  # no residual force below; bins processed at a time
-MIN_FORCE_POWER_REL = 1e-12  # of the largest, of a measured force: below it rounding of sums is all there is
-OUTLIER_POWER_RATIO = 6.0  # power over the local noise above which a bin counts less in the local noise
-MIN_LINE_POWER_SHARE = 0.45  # of the power above the noise that has the shape of a line
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,31 +91,33 @@ class LineSpectrum:
     def about(self, hz: float) -> slice:
         """Bins that give the noise at a frequency."""
         k = round(hz * self.seconds)
-        first = max(k - NOISE_REACH_BINS, int(MIN_FORCE_HZ * self.seconds), 1)
-        return slice(first, max(k + NOISE_REACH_BINS, first + NOISE_REACH_BINS) + 1, NOISE_STRIDE_BINS)
+        first = max(k - LIMITS.noise_reach_bins, int(LIMITS.min_force_hz * self.seconds), 1)
+        return slice(
+            first, max(k + LIMITS.noise_reach_bins, first + LIMITS.noise_reach_bins) + 1, LIMITS.noise_stride_bins
+        )
 
     def steady(self, hz: float) -> bool:
         """Whether the peak at a frequency has the shape of a line in phase and power, at the place where it is largest.
 
         A sharp resonance under random forces has not.
         """
-        k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
-        Y = self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]
-        i = int(np.argmax(np.abs(Y[:, LINE_REACH_BINS]) ** 2 / self.noise[:, k]))
+        k = int(np.clip(round(hz * self.seconds), LIMITS.line_reach_bins, self.f_hz.size - 1 - LIMITS.line_reach_bins))
+        Y = self.Y[:, k - LIMITS.line_reach_bins : k + LIMITS.line_reach_bins + 1]
+        i = int(np.argmax(np.abs(Y[:, LIMITS.line_reach_bins]) ** 2 / self.noise[:, k]))
         Y, noise = Y[i], Y.shape[1] * self.noise[i, k]
-        x = hz * self.seconds - np.arange(k - LINE_REACH_BINS, k + LINE_REACH_BINS + 1) + 1e-9
+        x = hz * self.seconds - np.arange(k - LIMITS.line_reach_bins, k + LIMITS.line_reach_bins + 1) + 1e-9
         line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
         tone = np.abs(np.vdot(line, Y)) ** 2 / np.vdot(line, line).real
-        return bool(tone > MIN_LINE_POWER_SHARE * max(np.vdot(Y, Y).real - noise, tone))
+        return bool(tone > LIMITS.min_line_power_share * max(np.vdot(Y, Y).real - noise, tone))
 
     def over_neighbours(self, hz: float) -> float:
         """Power at a frequency over that of the nearest bins, at the place where it is largest.
 
         Near a narrow resonance the local noise of `noise` is no measure of chance.
         """
-        k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
-        near = np.abs(self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]) ** 2
-        own = slice(LINE_REACH_BINS - 2, LINE_REACH_BINS + 3)
+        k = int(np.clip(round(hz * self.seconds), LIMITS.line_reach_bins, self.f_hz.size - 1 - LIMITS.line_reach_bins))
+        near = np.abs(self.Y[:, k - LIMITS.line_reach_bins : k + LIMITS.line_reach_bins + 1]) ** 2
+        own = slice(LIMITS.line_reach_bins - 2, LIMITS.line_reach_bins + 3)
         beside = np.delete(near, own, axis=1).mean(axis=1)
         return float((near[:, own].max(axis=1) / np.maximum(beside, 1e-300)).max())
 
@@ -160,8 +155,8 @@ def residual_spectrum(
     P, n = s.windowed.shape
     Y = np.stack(map_threads(lambda z: rfft(z.astype(np.float64)), s.windowed))
     R = np.zeros_like(Y)
-    for a in range(max(1, int(MIN_FORCE_HZ * s.seconds)), Y.shape[1], BINS_PER_CHUNK):
-        here = slice(a, a + BINS_PER_CHUNK)
+    for a in range(max(1, int(LIMITS.min_force_hz * s.seconds)), Y.shape[1], LIMITS.bins_per_chunk):
+        here = slice(a, a + LIMITS.bins_per_chunk)
         w = 2 * np.pi * s.f_hz[here]
         derived = to_acceleration(s.kinds, w).T
         R[:, here] = np.einsum("fij,jf->if", stiffness(s.f_hz[here]), derived * Y[:, here])
@@ -171,12 +166,14 @@ def residual_spectrum(
         F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window))
         R[i] -= F
         R[i, F.size - 1] = 0.0
-        PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS), 1e-300) for z in (R[i], F))
-        weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / OUTLIER_POWER_RATIO, 1.0)
+        PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, LIMITS.noise_reach_bins), 1e-300) for z in (R[i], F))
+        weight = 1.0 / np.maximum(
+            np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / LIMITS.outlier_power_ratio, 1.0
+        )
         power = _smooth(weight * np.abs(F) ** 2)
-        proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(power, MIN_FORCE_POWER_REL * power.max())
-        R[i] -= np.where(s.f_hz > MIN_FORCE_HZ, proportion * F, 0.0)
-        uneasy[i] += np.abs(F) ** 2 / PF / (2 * NOISE_REACH_BINS)
+        proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(power, LIMITS.min_force_power_rel * power.max())
+        R[i] -= np.where(s.f_hz > LIMITS.min_force_hz, proportion * F, 0.0)
+        uneasy[i] += np.abs(F) ** 2 / PF / (2 * LIMITS.noise_reach_bins)
     out = _spectrum(np.asarray(irfft(R, n, axis=1), dtype=np.float32), ("force",) * P, s.model, s.rate_hz, s.phase)
     return replace(out, noise=out.noise * uneasy)
 
@@ -184,7 +181,7 @@ def residual_spectrum(
 def _smooth(z: NDArray[Any]) -> NDArray[Any]:
     from scipy.ndimage import uniform_filter1d
 
-    return np.asarray(uniform_filter1d(z, 2 * NOISE_REACH_BINS + 1, mode="reflect"))
+    return np.asarray(uniform_filter1d(z, 2 * LIMITS.noise_reach_bins + 1, mode="reflect"))
 
 
 def order_spectrum(s: LineSpectrum) -> LineSpectrum:
@@ -212,7 +209,7 @@ def _spectrum(
     map_threads(transform, range(len(Y)))  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
     for own, z in zip(noise, Y, strict=True):
-        own[:] = local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS)
+        own[:] = local_noise(z.real**2 + z.imag**2, LIMITS.noise_reach_bins)
     return LineSpectrum(
         f_hz=f,
         Y=Y,
@@ -229,7 +226,7 @@ def _spectrum(
 def local_noise(power: NDArray[np.floating], reach: int) -> Array:
     """(bins,) local noise: mean of the bins up to `reach` away, by the median of every fourth, so without lines.
 
-    The reach is halved towards 0 Hz, as sensor noise referred to force rises as f^-4 down to MIN_FORCE_HZ.
+    The reach is halved towards 0 Hz, as sensor noise referred to force rises as f^-4 down to min_force_hz.
     """
     from scipy.ndimage import median_filter
 
@@ -237,7 +234,7 @@ def local_noise(power: NDArray[np.floating], reach: int) -> Array:
         median = median_filter(power[::thin], 2 * reach // thin + 1, mode="reflect") / np.log(2)
         return np.asarray(np.repeat(median, thin)[: power.size], dtype=np.float64)
 
-    out = local(power, reach, NOISE_STRIDE_BINS)
-    while (reach := reach // 2) >= MIN_NOISE_REACH_BINS:
+    out = local(power, reach, LIMITS.noise_stride_bins)
+    while (reach := reach // 2) >= LIMITS.min_noise_reach_bins:
         out[: 4 * reach] = local(power[: 6 * reach], reach, 1)[: 4 * reach]
     return np.maximum(out, 1e-300)

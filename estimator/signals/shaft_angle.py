@@ -10,6 +10,8 @@ from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.model.rig import Model
 
+from .thresholds import LIMITS
+
 
 class ShaftAngle:
     """Shaft angle of a stream: `push` rows, `drop` old rows, ask for the `angle` along rows that are held."""
@@ -52,12 +54,6 @@ class ShaftAngle:
         out = angle[start - self._first : stop - self._first]
         self._known = (stop - 1, float(out[-1]))
         return out
-
-
-MIN_PULSES = 4
-HYSTERESIS_OVER_HEIGHT = 0.1  # a pulse counts once the signal was this share of the pulse height below its middle
-LONG_OVER_PERIOD = 1.5  # a longer distance between pulses holds several turns (missing samples, a weak pulse)
-SHORT_OVER_PERIOD = 0.5  # a shorter distance between pulses is no turn (ringing, interference)
 
 
 def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
@@ -107,13 +103,15 @@ def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
     pulses : (n,) any height and width, NaN where a sample is missing. Raises DataError with fewer than four pulses.
     """
     edges = rising_edges(pulses)
-    if edges.size >= MIN_PULSES:
-        edges = edges[np.concatenate([[True], np.diff(edges) > SHORT_OVER_PERIOD * np.median(np.diff(edges))])]
-    if edges.size < MIN_PULSES:
-        raise DataError(f"channel {name}: {edges.size} tacho pulses; at least {MIN_PULSES} are needed, one a turn")
+    if edges.size >= LIMITS.min_pulses:
+        edges = edges[np.concatenate([[True], np.diff(edges) > LIMITS.short_over_period * np.median(np.diff(edges))])]
+    if edges.size < LIMITS.min_pulses:
+        raise DataError(
+            f"channel {name}: {edges.size} tacho pulses; at least {LIMITS.min_pulses} are needed, one a turn"
+        )
     distance = np.diff(edges)
     period = _usual(distance)
-    turns = np.where(distance > LONG_OVER_PERIOD * period, np.rint(distance / period), 1.0)
+    turns = np.where(distance > LIMITS.long_over_period * period, np.rint(distance / period), 1.0)
     angle = np.concatenate([[0.0], np.cumsum(turns)])
     n = np.arange(len(pulses), dtype=np.float64)
     out = _between(edges, angle, n)
@@ -142,7 +140,7 @@ def rising_edges(pulses: Array) -> Array:
     if high <= low:
         return np.empty(0)
     middle = 0.5 * (low + high)
-    armed = middle - HYSTERESIS_OVER_HEIGHT * (high - low)
+    armed = middle - LIMITS.hysteresis_over_height * (high - low)
     state = np.where(y >= middle, 1, np.where(y < armed, -1, 0))  # 0: keeps what it was
     last = np.maximum.accumulate(np.where(state != 0, np.arange(y.size), 0))
     state = state[last]

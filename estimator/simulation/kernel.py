@@ -86,10 +86,7 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
                 for j in range(width):
                     g = Fk[o + j] - f[o + j]
                     xi += E[d, i, j] * x[o + j] + E[d, i, width + j] * v[o + j] + G0[d, i, j] * g
-                    vi += (
-                        E[d, width + i, j] * x[o + j]
-                        + E[d, width + i, width + j] * v[o + j]
-                    )
+                    vi += E[d, width + i, j] * x[o + j] + E[d, width + i, width + j] * v[o + j]
                     vi += G0[d, width + i, j] * g
                 x1[o + i], v1[o + i] = xi, vi
         if table[0].size:

@@ -18,14 +18,8 @@ from scipy.special import gammaincc, gammaln
 from estimator.arrays import Array
 
 from .envelope import EnvelopeSpectrum
-from .spectra import HANN_BIN_CORRELATION, LevelSpectrum, local_noise, ratio_at_nats
-
-LINE_WIDTHS_BINS = (1, 4, 16)  # strikes that slip have wide lines
-HARMONIC_COUNTS = (2, 3, 5, 8)  # of the combs that are tried
-MAX_LINE_NATS = 20.0  # that one line may contribute
-CLEAR_LINE_NATS = 8.0
-MIN_CLEAR_HARMONICS = 2
-LOWEST_BINS = 3  # next to 0 Hz, where the window spreads the mean
+from .spectra import LevelSpectrum, local_noise, ratio_at_nats
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +52,7 @@ class LineTable:
     @cached_property
     def clear(self) -> NDArray[np.intp]:
         """Bins of clear lines, rising."""
-        return np.flatnonzero(self.nats > CLEAR_LINE_NATS)
+        return np.flatnonzero(self.nats > LIMITS.clear_line_nats)
 
     def bins_at(self, hz: Array) -> NDArray[np.intp]:
         """Nearest bins of some frequencies, Hz; beyond the last bin: its number."""
@@ -93,7 +87,7 @@ class AvoidedLines:
 
     def __init__(self, hz: Array, sd_hz: Array, seconds: float, bins: int) -> None:
         self._masks: dict[int, NDArray[np.bool_]] = {}
-        for width in LINE_WIDTHS_BINS:
+        for width in LIMITS.line_widths_bins:
             out = np.zeros(bins + 2, bool)
             # under a box a line has no flanks to tell
             reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)
@@ -113,16 +107,16 @@ class AvoidedLines:
 
 def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines) -> Iterator[LineTable | None]:
     """The table of one spectrum for every width of a line; None of one with too few clear lines for a comb."""
-    for width in LINE_WIDTHS_BINS:
+    for width in LIMITS.line_widths_bins:
         if spectrum.power.size < 8 * width:
             continue
-        count = max(1.0, spectrum.count * width / HANN_BIN_CORRELATION) if width > 1 else float(spectrum.count)
+        count = max(1.0, spectrum.count * width / LIMITS.hann_bin_correlation) if width > 1 else float(spectrum.count)
         P = uniform_filter1d(spectrum.power, width, mode="nearest") if width > 1 else spectrum.power
         random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
         usable = ~avoided.bins(P, width)
-        usable[:LOWEST_BINS] = False
-        high = usable & (ratio_at_nats(count, CLEAR_LINE_NATS) * random < P)
-        if np.count_nonzero(high) < MIN_CLEAR_HARMONICS:  # the noise is no less than that of random phases
+        usable[: LIMITS.lowest_bins] = False
+        high = usable & (ratio_at_nats(count, LIMITS.clear_line_nats) * random < P)
+        if np.count_nonzero(high) < LIMITS.min_clear_harmonics:  # the noise is no less than that of random phases
             yield None
             continue
         noise = np.repeat(local_noise(P[width // 2 :: width], count), width)[: P.size]
@@ -130,7 +124,7 @@ def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines)
         noise = np.maximum(noise, random)
         level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise)
         nats = np.where(usable, -level.log_p(np.arange(P.size)), 0.0)
-        if np.count_nonzero(nats > CLEAR_LINE_NATS) < MIN_CLEAR_HARMONICS:
+        if np.count_nonzero(nats > LIMITS.clear_line_nats) < LIMITS.min_clear_harmonics:
             yield None
             continue
         yield LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable)
@@ -152,7 +146,7 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     """
     if not fundamentals_hz.size:
         return None
-    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
+    m = np.arange(1, LIMITS.harmonic_counts[-1] + 1)
     if not _has_clear_lines(table, fundamentals_hz, m):
         return None
     nats = np.append(table.nats, 0.0)
@@ -160,24 +154,24 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     main = fundamentals_hz[:, None] * m
     at = table.bins_at(main)
     own, count = nats[at], usable[at].astype(np.int64)
-    clear = own > CLEAR_LINE_NATS
-    eligible = (clear.sum(axis=1) >= MIN_CLEAR_HARMONICS) & (clear[:, 0] | clear[:, 1])
+    clear = own > LIMITS.clear_line_nats
+    eligible = (clear.sum(axis=1) >= LIMITS.min_clear_harmonics) & (clear[:, 0] | clear[:, 1])
     if not eligible.any():
         return None
-    total, bounded = own.copy(), np.minimum(own, MAX_LINE_NATS)
+    total, bounded = own.copy(), np.minimum(own, LIMITS.max_line_nats)
     if sideband_hz:
         for side in (main - sideband_hz, main + sideband_hz):
             beside = table.bins_at(np.maximum(side, 0.0))
             total += nats[beside]
-            bounded += np.minimum(nats[beside], MAX_LINE_NATS)
+            bounded += np.minimum(nats[beside], LIMITS.max_line_nats)
             count += usable[beside]
-    pick = np.array(HARMONIC_COUNTS) - 1
+    pick = np.array(LIMITS.harmonic_counts) - 1
     sums, counts = np.cumsum(bounded, axis=1)[:, pick], np.cumsum(count, axis=1)[:, pick]
     log_p = np.where(counts > 0, log_gamma_tail(np.maximum(counts, 1), sums), 0.0).min(axis=1)
     log_p = np.where(eligible, log_p, 0.0)
     everything = total.sum(axis=1)
     i = int(np.argmin(log_p - 1e-4 * everything))
-    paid = np.log(max(searched, fundamentals_hz.size) * len(HARMONIC_COUNTS))
+    paid = np.log(max(searched, fundamentals_hz.size) * len(LIMITS.harmonic_counts))
     return Comb(hz=float(fundamentals_hz[i]), log_p=float(log_p[i] + paid), nats=float(everything[i]), table=table)
 
 
@@ -185,7 +179,7 @@ def _has_clear_lines(table: LineTable, fundamentals_hz: Array, m: NDArray[np.int
     """Whether the harmonics m of fundamentals between the first and the last may be eligible: far fewer are."""
     low, high = fundamentals_hz[0] * m * table.spectrum.seconds, fundamentals_hz[-1] * m * table.spectrum.seconds
     there = np.searchsorted(table.clear, np.floor(low)) < np.searchsorted(table.clear, np.ceil(high), side="right")
-    return bool((there[0] or there[1]) and np.count_nonzero(there) >= MIN_CLEAR_HARMONICS)
+    return bool((there[0] or there[1]) and np.count_nonzero(there) >= LIMITS.min_clear_harmonics)
 
 
 def log_gamma_tail(n: NDArray[np.int64], x: Array) -> Array:
@@ -200,16 +194,16 @@ def log_gamma_tail(n: NDArray[np.int64], x: Array) -> Array:
 def clear_harmonics(comb: Comb) -> tuple[NDArray[np.intp], Array]:
     """Numbers of the clear harmonics of a comb, and their depths of modulation (amplitudes less the noise)."""
     table = comb.table
-    m = np.arange(1, HARMONIC_COUNTS[-1] + 1)
+    m = np.arange(1, LIMITS.harmonic_counts[-1] + 1)
     at = table.bins_at(np.asarray(comb.hz * m, dtype=np.float64))
     m, at = m[at < table.nats.size], at[at < table.nats.size]
-    clear = table.nats[at] > CLEAR_LINE_NATS
+    clear = table.nats[at] > LIMITS.clear_line_nats
     return m[clear].astype(np.intp), np.sqrt([line_power(table, int(k)) for k in at[clear]])
 
 
 def line_power(table: LineTable, k: int) -> float:
     """Squared depth of modulation of the line about bin k, less the noise."""
-    return float(_lobe(table, k)[1].sum() / HANN_BIN_CORRELATION)
+    return float(_lobe(table, k)[1].sum() / LIMITS.hann_bin_correlation)
 
 
 def refined_fundamental(comb: Comb) -> float:
@@ -232,7 +226,7 @@ def _lobe(table: LineTable, k: int) -> tuple[Array, Array]:
 
 def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> Array:
     """Frequencies (Hz) of the clearest usable lines between two frequencies."""
-    first = max(LOWEST_BINS, int(np.ceil(low_hz * table.spectrum.seconds)))
+    first = max(LIMITS.lowest_bins, int(np.ceil(low_hz * table.spectrum.seconds)))
     last = min(int(high_hz * table.spectrum.seconds) + 1, table.nats.size - 1)
     nats = table.nats
     bins = table.clear[(table.clear >= first) & (table.clear < last)]

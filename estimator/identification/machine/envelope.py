@@ -26,17 +26,7 @@ from scipy.ndimage import uniform_filter1d
 from estimator.arrays import Array, Series
 
 from .pieces import Pieces
-
-MAX_PIECE_S = 20.0  # the phase of strikes that slip is lost within some seconds
-BANDS_PER_RATE = (1, 2, 4, 6, 8, 12, 16, 24)  # bands that share the range up to half the rate, finest ones last
-MIN_BAND_OVER_HIGHEST = 0.25  # width of a band over the highest frequency asked for
-TOP_OF_NYQUIST = 0.94  # part of the range below half the rate that a recorder passes
-FLOOR_BLOCK_HZ, FLOOR_BLOCK_BINS = 20.0, 8  # of the floor that whitens: wider than a line, narrower than a mode
-ANGLE_POINTS = 4096  # of a piece at which the angle of the shaft is followed
-TONE_NOISE_HZ = 10.0  # a tone counts no more than the noise in so many hertz
-MAX_KEPT_ROWS = 1 << 22  # of a channel whose spectra are kept between two readings: 32 MB
-LEAST_POWER = 1e-30  # added to powers that may be 0; in single precision
-MIN_TONE_RATIO = 9.0  # power over the floor that is never bounded: noise does not reach it
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +59,7 @@ def envelope_spectra(
     pieces: Pieces,
     highest_hz: float,
     level_s: float,
-    bank: tuple[int, ...] = BANDS_PER_RATE,
+    bank: tuple[int, ...] = LIMITS.bands_per_rate,
     angle: Array | None = None,
 ) -> list[EnvelopeSpectrum]:
     """Spectra of the squared envelope up to a frequency in every band of a bank.
@@ -115,7 +105,7 @@ class _PieceSpectra:
         if self._kept:
             yield from self._kept
             return
-        keep = len(self._pieces) * self._pieces.size <= MAX_KEPT_ROWS
+        keep = len(self._pieces) * self._pieces.size <= LIMITS.max_kept_rows
         for group in self._pieces.groups():
             X = rfft(group, axis=1)
             if keep:
@@ -125,10 +115,10 @@ class _PieceSpectra:
 
 def _bands(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> Iterator[tuple[int, int]]:
     """First bin and bin after the last of each band; a narrower band would smear the strikes of a fast train."""
-    top = int(TOP_OF_NYQUIST * 0.5 * pieces.size)
+    top = int(LIMITS.top_of_nyquist * 0.5 * pieces.size)
     for parts in bank:
         edges = np.linspace(1, top, parts + 1).astype(int)
-        if parts == 1 or edges[1] - edges[0] >= MIN_BAND_OVER_HIGHEST * highest_hz * pieces.seconds:
+        if parts == 1 or edges[1] - edges[0] >= LIMITS.min_band_over_highest * highest_hz * pieces.seconds:
             yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
 
 
@@ -137,7 +127,7 @@ def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
     if angle is None:
         return []
     step = (angle[-1] - angle[0]) / (angle.size - 1)
-    rows = np.arange(0, pieces.size, max(1, pieces.size // ANGLE_POINTS))
+    rows = np.arange(0, pieces.size, max(1, pieces.size // LIMITS.angle_points))
     out = []
     for start in (pieces.starts[i] for i in numbers):
         own = angle[start + rows]
@@ -156,7 +146,7 @@ def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) 
     n = next_fast_len(max(X.shape[1] + bins, 2 * bins), real=True)
     z = ifft(X, n, axis=1)
     P = X.real**2 + X.imag**2
-    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, LEAST_POWER)  # n times the mean of the squared envelope
+    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, LIMITS.least_power)  # n times the mean of the squared envelope
     envelope = (z.real**2 + z.imag**2) / (mean / n)
     for row, at in zip(envelope, steps, strict=bool(steps)):
         share = np.interp(np.arange(n) / n, np.arange(at.size) / at.size, at)
@@ -180,7 +170,7 @@ def _at_one_level(x: Series, rows: int) -> Series:
     """(pieces, size) samples over their level, smoothed over some rows: a level that changes is no strike train."""
     rows = max(3, min(rows, x.shape[1] // 4))
     level = uniform_filter1d(uniform_filter1d(x**2, rows, axis=1, mode="nearest"), rows, axis=1, mode="nearest")
-    least = 1e-3 * level.mean(axis=1, keepdims=True) + LEAST_POWER
+    least = 1e-3 * level.mean(axis=1, keepdims=True) + LIMITS.least_power
     return np.asarray(x / np.sqrt(np.maximum(level, least)))
 
 
@@ -191,13 +181,13 @@ def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> Array:
         power += (X.real**2 + X.imag**2).sum(axis=0)
     power /= len(pieces)
     floor = _floor(power, pieces.seconds)
-    bound = max(MIN_TONE_RATIO, TONE_NOISE_HZ * pieces.seconds) / len(pieces)
+    bound = max(LIMITS.min_tone_ratio, LIMITS.tone_noise_hz * pieces.seconds) / len(pieces)
     return np.asarray(1.0 / np.sqrt(np.maximum(floor, power / max(1.0, bound))))
 
 
 def _floor(power: Array, seconds: float) -> Array:
     """(bins,) noise in a power spectrum: by medians of blocks, so without lines. seconds : one over a bin's width."""
-    block = max(FLOOR_BLOCK_BINS, int(FLOOR_BLOCK_HZ * seconds))
+    block = max(LIMITS.floor_block_bins, int(LIMITS.floor_block_hz * seconds))
     whole = power.size // block * block
     if not whole:
         return np.full(power.size, max(float(np.median(power)), 1e-60))

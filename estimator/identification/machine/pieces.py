@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 
-BRIDGED_GAP_ROWS = 8  # missing rows that a straight line bridges: shorter than what a spectrum resolves
-MAX_BRIDGED_SHARE = 0.02  # of a channel's rows; a channel with more short gaps is cut at each of them
-MIN_PIECE_ROWS = 256
-MAX_PIECE_S = 60.0  # bounds memory; a resolution of 1/60 Hz is finer than the speed of any machine is constant
+from .thresholds import LIMITS
 
 
 class Pieces:
@@ -28,14 +25,14 @@ class Pieces:
         Longest piece.
     """
 
-    def __init__(self, samples: Array, rate_hz: float, max_seconds: float = MAX_PIECE_S) -> None:
+    def __init__(self, samples: Array, rate_hz: float, max_seconds: float = LIMITS.max_piece_s) -> None:
         self._samples = _bridged(samples)
         runs = finite_runs(self._samples)
         size = _common_size(runs[:, 1] - runs[:, 0], int(max_seconds * rate_hz)) if len(runs) else 0
         self.size = _fast_size(size)
         self.rate_hz = rate_hz
         self.starts: list[int] = []
-        if self.size >= MIN_PIECE_ROWS:
+        if self.size >= LIMITS.min_piece_rows:
             for start, stop in runs:
                 count = (stop - start) // self.size
                 spare = (stop - start) - count * self.size
@@ -79,9 +76,9 @@ def _bridged(samples: Array) -> Array:
         return samples
     edges = _true_runs(missing)
     inner = (edges[:, 0] > 0) & (edges[:, 1] < samples.size)
-    short = edges[(edges[:, 1] - edges[:, 0] <= BRIDGED_GAP_ROWS) & inner]
+    short = edges[(edges[:, 1] - edges[:, 0] <= LIMITS.bridged_gap_rows) & inner]
     count = int((short[:, 1] - short[:, 0]).sum())
-    if not 0 < count <= MAX_BRIDGED_SHARE * samples.size:
+    if not 0 < count <= LIMITS.max_bridged_share * samples.size:
         return samples
     out = samples.copy()
     rows = np.concatenate([np.arange(a, b) for a, b in short])
@@ -102,4 +99,4 @@ def _fast_size(size: int) -> int:
     """The largest size up to the given one whose FFT is fast."""
     from scipy.fft import prev_fast_len
 
-    return int(prev_fast_len(size, real=True)) if size >= MIN_PIECE_ROWS else 0
+    return int(prev_fast_len(size, real=True)) if size >= LIMITS.min_piece_rows else 0

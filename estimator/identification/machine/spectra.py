@@ -21,14 +21,8 @@ from estimator.arrays import Array
 from estimator.parallel import map_threads
 
 from .pieces import Pieces
+from .thresholds import LIMITS
 
-COARSER_BY = 4  # from one resolution to the next
-MIN_LEVEL_S, MIN_LEVEL_ROWS = 0.1, 256  # of a piece at the coarsest resolution
-NEAR_BINS, NEAR_REACH_BINS = 3, 8  # on either side of a bin, for the mean of the nearest noise
-FAR_REACH_BINS = 16  # on either side of a bin, for the median of the noise about it
-HANN_BIN_CORRELATION = 1.5  # equivalent noise bandwidth of a Hann window, bins
-NOISE_BINS = 8.0  # independent bins that the noise about a bin rests on, after that correlation
-LEAST_RATIO = 2.5  # power over noise below which a p-value is not computed
 EXPONENTIAL_MEAN_LOG = float(np.euler_gamma)  # log of the mean less mean of the log, of exponential variables
 EXPONENTIAL_SD_LOG = float(np.sqrt(np.pi**2 / 6 - 1))  # of that difference, times the root of the number of variables
 
@@ -61,8 +55,8 @@ class LevelSpectrum:
         """(k,) natural logarithm of the chance that noise gives the power of some bins; 0 where the power is low."""
         ratio = self.power[bins] / self.noise[bins]
         out = np.zeros(ratio.shape)
-        high = ratio > LEAST_RATIO
-        p = fdtrc(2 * self.count, 2 * self.count * NOISE_BINS, ratio[high])
+        high = ratio > LIMITS.least_ratio
+        p = fdtrc(2 * self.count, 2 * self.count * LIMITS.noise_bins, ratio[high])
         out[high] = np.log(np.maximum(p, 1e-300))
         return out
 
@@ -77,17 +71,17 @@ class LevelSpectrum:
 @cache
 def ratio_at_nats(count: float, nats: float) -> float:
     """Power over noise, a little less than that at which a bin has some nats. count : as of a `LevelSpectrum`."""
-    return 0.999 * float(fdtri(2 * count, 2 * count * NOISE_BINS, -np.expm1(-nats)))
+    return 0.999 * float(fdtri(2 * count, 2 * count * LIMITS.noise_bins, -np.expm1(-nats)))
 
 
 def level_spectra(pieces: Pieces) -> list[LevelSpectrum]:
     """Spectra of a channel, the finest resolution first."""
     sizes: list[int] = []
     size = pieces.size
-    least = max(MIN_LEVEL_ROWS, int(MIN_LEVEL_S * pieces.rate_hz))
+    least = max(LIMITS.min_level_rows, int(LIMITS.min_level_s * pieces.rate_hz))
     while size >= least or (size and not sizes):
         sizes.append(size)
-        size //= COARSER_BY
+        size //= LIMITS.coarser_by
     return [_level(pieces, size) for size in sizes if len(pieces)]
 
 
@@ -132,8 +126,8 @@ def local_noise(power: Array, count: float) -> Array:
 
     count : of spectra whose average the power is.
     """
-    median = median_filter(power, 2 * FAR_REACH_BINS + 1, mode="nearest")
+    median = median_filter(power, 2 * LIMITS.far_reach_bins + 1, mode="nearest")
     median *= count / gammaincinv(count, 0.5)
-    wide, inner = 2 * NEAR_REACH_BINS + 1, 2 * NEAR_BINS - 1
+    wide, inner = 2 * LIMITS.near_reach_bins + 1, 2 * LIMITS.near_bins - 1
     about, own = (uniform_filter1d(power, width, mode="nearest") * width for width in (wide, inner))
     return np.maximum(np.maximum((about - own) / (wide - inner), median), 1e-300)

@@ -17,31 +17,16 @@ from estimator.signals.shaft_angle import measured_phase
 
 from .machine_survey import ShaftSpeed
 from .spectra import LevelSpectrum
-from .tones import MAINS_HZ, MAINS_TOLERANCE_REL, Line, mains_at
+from .thresholds import LIMITS
+from .tones import Line, mains_at
 
 SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed than the rig file says
 RATE_CONTRADICTED = "rate_contradicted"  # the record was sampled at another rate than it says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
 SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
 RECORD_SOURCE: Final = "record"  # of a speed that the harmonics of the shaft show
-TACHO_SD_TURNS = 0.02  # of the angle between the first and the last pulse: width of an edge, spline beyond it
-NAMEPLATE_REACH_REL = 0.05  # about the given speed: slip of an induction motor between no load and overload
-NAMEPLATE_SD_REL = 0.01  # of a given speed that the record does not confirm: usual slip
-MIN_RATE_ERROR_REL = 0.005  # deviation of shaft and mains from which a wrong rate is said
-CONTRADICTION_REL = 0.02  # between the record and the rig file, from which it is said: beyond the usual slip
 HARMONIC_COUNTS = (1, 3, 6)  # of the combs that are tried
 MAX_HARMONICS = HARMONIC_COUNTS[-1]
-MAX_HARMONIC_NATS = 20.0  # that one harmonic may contribute: one line is no comb
-MAX_FALSE_SPEED_CHANCE = 1e-4
-MIN_FREE_HZ, MAX_FREE_HZ = 5.0, 500.0  # of a shaft that nothing is known of: 300 to 30 000 rpm
-MIN_FREE_HARMONICS = 3  # clear ones, the first among them
-CLEAR_HARMONIC_NATS = 10.0
-LINE_SD_BINS = 0.2  # of the frequency of a line
-LINE_TOLERANCE_BINS = 0.25  # between a line and a harmonic; the supply of a motor is near an order and no order
-WANDER_REACH_REL = 0.03  # about the mean speed within which the speed wanders
-WANDER_POWER_RATIO = 8.0  # over the noise of a bin that belongs to the line of an order
-HANN_LINE_VARIANCE_BINS = 1.0 / 3.0  # of a steady line under a Hann window, bins^2
-GRID_STEP_BINS = 0.2  # of the highest harmonic from one trial speed to the next
 
 
 def shaft_speed(
@@ -52,33 +37,36 @@ def shaft_speed(
     if measured is not None:
         return measured, []
     if not model.speed_rpm:
-        found = _comb(spectra, MIN_FREE_HZ, MAX_FREE_HZ)
+        found = _comb(spectra, LIMITS.min_free_hz, LIMITS.max_free_hz)
         if found is None:
             return None, []
         text = f"a comb of harmonics of {found[0]:.2f} Hz may be the shaft: if so, set speed_rpm = {60 * found[0]:.0f}"
         return None, [Message(SPEED_SUGGESTED, text)]
     given = model.speed_rpm / 60.0
-    near = _comb(spectra, given * (1 - NAMEPLATE_REACH_REL), given * (1 + NAMEPLATE_REACH_REL), free=False)
+    near = _comb(
+        spectra, given * (1 - LIMITS.nameplate_reach_rel), given * (1 + LIMITS.nameplate_reach_rel), free=False
+    )
     if near is not None:
         hz, sd = near
         wander = _wander(spectra, hz)
         speed = ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source=RECORD_SOURCE, wander_rel=wander)
         return speed, _contradiction(hz, sd, given)
-    speed = ShaftSpeed(value_rpm=60 * given, sd_rpm=60 * given * NAMEPLATE_SD_REL, source="rig file")
-    other = _comb(spectra, MIN_FREE_HZ, MAX_FREE_HZ)
+    speed = ShaftSpeed(value_rpm=60 * given, sd_rpm=60 * given * LIMITS.nameplate_sd_rel, source="rig file")
+    other = _comb(spectra, LIMITS.min_free_hz, LIMITS.max_free_hz)
     if other is not None and not _is_simple_ratio(other[0] / given):
         text = (
             f"no line at the {60 * given:.0f} rpm of the rig file, but a comb of harmonics of {other[0]:.2f} Hz: "
             f"check speed_rpm ({60 * other[0]:.0f}?)"
         )
         return speed, [Message(SPEED_CONTRADICTED, text)]
-    text = f"no harmonic of the {60 * given:.0f} rpm of the rig file stands out: orders hold to {NAMEPLATE_SD_REL:.0%}"
+    known = f"orders hold to {LIMITS.nameplate_sd_rel:.0%}"
+    text = f"no harmonic of the {60 * given:.0f} rpm of the rig file stands out: {known}"
     return speed, [Message(SPEED_NOT_SEEN, text)]
 
 
 def _contradiction(hz: float, sd: float, given: float) -> list[Message]:
     """The remark on a speed found near the given one but not at it, Hz."""
-    if abs(hz - given) <= max(CONTRADICTION_REL * given, 3.0 * sd):
+    if abs(hz - given) <= max(LIMITS.contradiction_rel * given, 3.0 * sd):
         return []
     found = f"{60 * hz:.0f} +- {60 * sd:.1f} rpm"
     text = f"the record turns at {found}, the rig file says {60 * given:.0f}: check speed_rpm"
@@ -99,7 +87,7 @@ def rate_contradiction(lines: Sequence[Line], speed: ShaftSpeed, given_rpm: floa
     if speed.source != RECORD_SOURCE or not given_rpm:
         return []
     ratio = speed.value_rpm / given_rpm
-    if abs(ratio - 1.0) < MIN_RATE_ERROR_REL or (mains := mains_at(lines, ratio)) is None:
+    if abs(ratio - 1.0) < LIMITS.min_rate_error_rel or (mains := mains_at(lines, ratio)) is None:
         return []
     text = (
         f"shaft and mains stand alike at {ratio:.4f} x where they belong ({ratio * mains:.2f} for {mains:.0f} Hz): the "
@@ -118,7 +106,7 @@ def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
     hz = float(phase[-1] - phase[0]) / (2 * np.pi) * rate_hz / (phase.size - 1)
     if hz <= 0.0:
         return None
-    sd = TACHO_SD_TURNS * rate_hz / phase.size
+    sd = LIMITS.tacho_sd_turns * rate_hz / phase.size
     wander = float(local.std()) / hz
     return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="tacho", wander_rel=wander)
 
@@ -136,7 +124,7 @@ def _comb(
     for seconds in resolutions:
         levels = [level for own in spectra.values() for level in own if round(level.seconds, 6) == seconds]
         found = _comb_at(levels, low, high, free)
-        if found is not None and found[0] < np.log(MAX_FALSE_SPEED_CHANCE / len(resolutions)):
+        if found is not None and found[0] < np.log(LIMITS.max_false_speed_chance / len(resolutions)):
             return found[1:]
     return None
 
@@ -146,22 +134,22 @@ def _comb_at(levels: Sequence[LevelSpectrum], low: float, high: float, free: boo
     seconds = levels[0].seconds
     top = min(level.power.size for level in levels) / seconds
     high = min(high, top)
-    peaks_hz, nats = _peaks(levels, MAX_HARMONICS * max(high, 1.1 * max(MAINS_HZ)))
-    grid = np.arange(max(low, 4.0 / seconds), high, GRID_STEP_BINS / (MAX_HARMONICS * seconds))
+    peaks_hz, nats = _peaks(levels, MAX_HARMONICS * max(high, 1.1 * max(LIMITS.mains_hz)))
+    grid = np.arange(max(low, 4.0 / seconds), high, LIMITS.grid_step_bins / (MAX_HARMONICS * seconds))
     tried_speeds = grid.size
     if not tried_speeds or not peaks_hz.size:
         return None
     k = np.arange(1, MAX_HARMONICS + 1)
     if free:  # without a clear first harmonic a speed is none: few are left
-        grid = grid[_harmonic_nats(grid, peaks_hz, nats, seconds)[0] > CLEAR_HARMONIC_NATS]
+        grid = grid[_harmonic_nats(grid, peaks_hz, nats, seconds)[0] > LIMITS.clear_harmonic_nats]
     if not grid.size:
         return None
     wanted = np.outer(grid, k)
     own, nearest = _harmonic_nats(wanted, peaks_hz, nats, seconds)
-    clear = own > CLEAR_HARMONIC_NATS
+    clear = own > LIMITS.clear_harmonic_nats
     first = clear[:, 0]
     if free:
-        shaft = first & (clear.sum(axis=1) >= MIN_FREE_HARMONICS)
+        shaft = first & (clear.sum(axis=1) >= LIMITS.min_free_harmonics)
     else:  # multiples of a motor's supply lie near orders 2 and 3; high orders alone may be of anything
         shaft = first if first.any() else clear[:, 1] & clear[:, 2]
     tried = np.array(HARMONIC_COUNTS) - 1
@@ -180,7 +168,7 @@ def _harmonic_nats(wanted_hz: Array, peaks_hz: Array, nats: Array, seconds: floa
     nearest = np.searchsorted(peaks_hz, wanted_hz)
     above, below = np.minimum(nearest, peaks_hz.size - 1), np.maximum(nearest - 1, 0)
     nearest = np.where(np.abs(wanted_hz - peaks_hz[below]) < np.abs(wanted_hz - peaks_hz[above]), below, above)
-    off = np.abs(wanted_hz - peaks_hz[nearest]) * seconds / LINE_TOLERANCE_BINS
+    off = np.abs(wanted_hz - peaks_hz[nearest]) * seconds / LIMITS.line_tolerance_bins
     return nats[nearest] * np.maximum(1.0 - off**2, 0.0), nearest
 
 
@@ -192,9 +180,9 @@ def _peaks(levels: Sequence[LevelSpectrum], top_hz: float) -> tuple[Array, Array
     seconds = levels[0].seconds
     size = min(*(level.power.size for level in levels), int(top_hz * seconds) + 4)
     log_p = np.array([level.log_p(np.arange(size)) for level in levels])
-    nats = np.clip(-log_p.min(axis=0) - np.log(len(levels)), 0.0, MAX_HARMONIC_NATS)
+    nats = np.clip(-log_p.min(axis=0) - np.log(len(levels)), 0.0, LIMITS.max_harmonic_nats)
     nats[:3] = 0.0
-    grids = [_bins_at_mains(mains, seconds, size) for mains in MAINS_HZ]
+    grids = [_bins_at_mains(mains, seconds, size) for mains in LIMITS.mains_hz]
     nats[max(grids, key=lambda bins: float(nats[bins].sum()))] = 0.0
     bins = np.arange(2, size - 2)
     best = np.argmin(log_p[:, bins], axis=0)
@@ -209,7 +197,7 @@ def _peaks(levels: Sequence[LevelSpectrum], top_hz: float) -> tuple[Array, Array
 def _bins_at_mains(mains: float, seconds: float, size: int) -> NDArray[np.intp]:
     """Bins at multiples of a grid's frequency (Hz) in a spectrum of `size` bins of 1 / seconds Hz."""
     hz = mains * np.arange(1, MAX_HARMONICS + 1)
-    reach = MAINS_TOLERANCE_REL * hz * seconds + 1.0
+    reach = LIMITS.mains_tolerance_rel * hz * seconds + 1.0
     bins = np.concatenate([np.arange(np.ceil(k - r), k + r) for k, r in zip(hz * seconds, reach, strict=True)])
     return bins[(bins >= 0) & (bins < size)].astype(np.intp)
 
@@ -219,7 +207,7 @@ def _refined(lines_hz: Array, orders: NDArray[np.intp], seconds: float) -> tuple
     k = orders.astype(np.float64)
     found = float(k @ lines_hz / (k @ k))
     misfit = float(np.sqrt(np.mean((lines_hz - k * found) ** 2)))
-    return found, max(LINE_SD_BINS / seconds, misfit) / float(np.sqrt(k @ k))
+    return found, max(LIMITS.line_sd_bins / seconds, misfit) / float(np.sqrt(k @ k))
 
 
 def _wander(spectra: Mapping[str, Sequence[LevelSpectrum]], hz: float) -> float:
@@ -227,17 +215,17 @@ def _wander(spectra: Mapping[str, Sequence[LevelSpectrum]], hz: float) -> float:
 
     hz : mean speed. Lines of the supply lie near higher orders. 0 where the first order is not clear.
     """
-    clearest, found = WANDER_POWER_RATIO, 0.0
+    clearest, found = LIMITS.wander_power_ratio, 0.0
     for levels in spectra.values():
         fine = levels[0]
-        reach = max(WANDER_REACH_REL * hz * fine.seconds, 4.0)
+        reach = max(LIMITS.wander_reach_rel * hz * fine.seconds, 4.0)
         bins = np.arange(int(hz * fine.seconds - reach), int(hz * fine.seconds + reach) + 2)
         bins = bins[(bins > 0) & (bins < fine.power.size)]
         ratio = fine.power[bins] / fine.noise[bins]
         if ratio.max(initial=0.0) > clearest:
-            over = np.where(ratio > WANDER_POWER_RATIO, fine.power[bins], 0.0)
+            over = np.where(ratio > LIMITS.wander_power_ratio, fine.power[bins], 0.0)
             off = bins - over @ bins / over.sum()
-            variance = float(over @ off**2 / over.sum()) - HANN_LINE_VARIANCE_BINS
+            variance = float(over @ off**2 / over.sum()) - LIMITS.hann_line_variance_bins
             clearest, found = float(ratio.max()), float(np.sqrt(max(variance, 0.0))) / (hz * fine.seconds)
     return found
 
@@ -245,4 +233,4 @@ def _wander(spectra: Mapping[str, Sequence[LevelSpectrum]], hz: float) -> float:
 def _is_simple_ratio(ratio: float) -> bool:
     """Whether a frequency is a whole multiple or a whole part of another: then it may be its harmonic."""
     r = max(ratio, 1.0 / ratio)
-    return abs(r - round(r)) < NAMEPLATE_REACH_REL * r
+    return abs(r - round(r)) < LIMITS.nameplate_reach_rel * r

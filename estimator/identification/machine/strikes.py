@@ -24,7 +24,6 @@ from estimator.parallel import map_threads
 from estimator.results import Message
 
 from .combs import (
-    HARMONIC_COUNTS,
     AvoidedLines,
     Comb,
     LineTable,
@@ -35,25 +34,12 @@ from .combs import (
     line_tables,
     refined_fundamental,
 )
-from .envelope import BANDS_PER_RATE, MAX_PIECE_S, envelope_spectra
+from .envelope import envelope_spectra
 from .machine_survey import ShaftSpeed, StrikeName, StrikeTrain
 from .pieces import Pieces
 from .speed import tacho_angle
-from .tones import MAINS_HZ, MAINS_TOLERANCE_REL
+from .thresholds import LIMITS
 
-MAX_SLIP_REL = 0.02  # of a kinematic order: slip of balls and the contact angle under load
-GRID_PER_BIN = 2.0  # trial positions of the highest harmonic in a bin
-MIN_FREE_ORDER, MAX_FREE_ORDER = 0.3, 12.0  # of a train that has no kinematic name
-FREE_PEAKS, FREE_DIVISORS = 30, (1, 2, 3)  # lines that a free search starts from; which harmonic each may be
-HIGHEST_ORDER = 45.0  # of the shaft, up to which envelopes are analysed
-LEVEL_TURNS = 10.0  # of the shaft over which the level is made equal: some turns of the cage
-MAX_FALSE_TRAIN_CHANCE = 1e-3  # of one false train in a record
-MAX_ENVELOPE_MAINS_MULTIPLE = 4
-WANDER_REACH_SDS = 2.5  # standard deviations of a wandering speed to which the lines of its orders reach
-MIN_FREE_HARMONICS = 3  # of a train without a kinematic name
-MIN_FREE_DISTANCE_REL = 0.03  # of a free train from a whole shaft order: a speed that wanders spreads these
-MIN_STRIKE_HARMONIC_REL = 0.25  # of the strongest higher harmonic over the first: ringing strikes have over a half
-SEPARATION_SHARE = 0.6  # of what the likeliest name explains, above which another name is not told from it
 MODULATION_AT_ORDER = "modulation_at_bearing_order"
 STRIKES_AMBIGUOUS = "strikes_ambiguous"
 NO_SPEED_NO_STRIKES = "no_speed_no_strikes"
@@ -111,7 +97,7 @@ def find_strikes(
     rate_hz: float,
     columns: Mapping[str, int],
     speed: ShaftSpeed | None,
-    bank: tuple[int, ...] = BANDS_PER_RATE,
+    bank: tuple[int, ...] = LIMITS.bands_per_rate,
 ) -> tuple[list[StrikeTrain], list[Message]]:
     """Strike trains in some channels, clearest first, and remarks.
 
@@ -127,11 +113,13 @@ def find_strikes(
     kinds = kinematics_of(model)
 
     def searched(name: str) -> _ChannelSearch:
-        return _channel_search(name, Pieces(y[:, columns[name]], rate_hz, MAX_PIECE_S), known, kinds, bank, angle)
+        return _channel_search(
+            name, Pieces(y[:, columns[name]], rate_hz, LIMITS.max_envelope_piece_s), known, kinds, bank, angle
+        )
 
     found = map_threads(searched, columns)
     log_tables = float(np.log(max(sum(own.tables for own in found), 1)))
-    limit = float(np.log(MAX_FALSE_TRAIN_CHANCE))
+    limit = float(np.log(LIMITS.max_false_train_chance))
     trials = _named(found, kinds)
     log_paid = log_tables + float(np.log(max(len(kinds), 1)))
     certain = [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
@@ -145,11 +133,11 @@ def find_strikes(
 
 def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
     """Frequencies (Hz) at which an envelope has lines without a defect, and their standard deviations."""
-    k = np.arange(1, int(HIGHEST_ORDER) + 3)
-    sd_hz = float(np.hypot(speed.sd_hz, WANDER_REACH_SDS * speed.wander_rel * speed.hz))
-    mains = np.unique(np.outer(MAINS_HZ, np.arange(1, MAX_ENVELOPE_MAINS_MULTIPLE + 1)))
+    k = np.arange(1, int(LIMITS.highest_order) + 3)
+    sd_hz = float(np.hypot(speed.sd_hz, LIMITS.wander_reach_sds * speed.wander_rel * speed.hz))
+    mains = np.unique(np.outer(LIMITS.mains_hz, np.arange(1, LIMITS.max_envelope_mains_multiple + 1)))
     hz = np.concatenate([k * speed.hz, mains])
-    return hz, np.concatenate([k * sd_hz, MAINS_TOLERANCE_REL * mains])
+    return hz, np.concatenate([k * sd_hz, LIMITS.mains_tolerance_rel * mains])
 
 
 def _channel_search(
@@ -162,7 +150,7 @@ def _channel_search(
 ) -> _ChannelSearch:
     """The search in the envelope spectra of one channel; of their tables only those of the clearest combs are kept."""
     out = _ChannelSearch(named=[None] * len(kinds))
-    spectra = envelope_spectra(pieces, HIGHEST_ORDER * speed.hz, LEVEL_TURNS / speed.hz, bank, angle)
+    spectra = envelope_spectra(pieces, LIMITS.highest_order * speed.hz, LIMITS.level_turns / speed.hz, bank, angle)
     longest = max((spectrum.power.size for spectrum in spectra), default=0)
     avoided = AvoidedLines(*_avoided(speed), pieces.seconds, longest)
     for table in (table for spectrum in spectra for table in line_tables(channel, spectrum, avoided)):
@@ -178,7 +166,7 @@ def _channel_search(
 def _comb_of_kind(table: LineTable, kind: Kinematic, speed: ShaftSpeed) -> Comb | None:
     """The clearest comb of a kinematic hypothesis in one table."""
     centre = kind.order * speed.hz
-    step = table.width / (GRID_PER_BIN * HARMONIC_COUNTS[-1] * table.spectrum.seconds)
+    step = table.width / (LIMITS.grid_per_bin * LIMITS.harmonic_counts[-1] * table.spectrum.seconds)
     half = max(1, int(np.ceil(_slip_reach(speed) * centre / step)))
     grid: Array = np.asarray(centre + step * np.arange(-half, half + 1), dtype=np.float64)
     return best_comb(table, grid, kind.sideband * speed.hz)
@@ -206,12 +194,12 @@ def _is_whole(v: Verdict, speed: ShaftSpeed) -> bool:
 def _is_free_train(comb: Comb) -> bool:
     """Whether a comb without a kinematic name has its first harmonic and enough others."""
     numbers, _ = clear_harmonics(comb)
-    return numbers.size >= MIN_FREE_HARMONICS and bool(numbers[0] == 1)
+    return numbers.size >= LIMITS.min_free_harmonics and bool(numbers[0] == 1)
 
 
 def _slip_reach(speed: ShaftSpeed) -> float:
     """Relative deviation from a kinematic order that slip and the uncertain speed allow."""
-    return MAX_SLIP_REL + 2.0 * speed.sd_rpm / speed.value_rpm
+    return LIMITS.max_slip_rel + 2.0 * speed.sd_rpm / speed.value_rpm
 
 
 def _ranked(certain: Sequence[Verdict], speed: ShaftSpeed) -> list[tuple[Verdict, float]]:
@@ -232,7 +220,7 @@ def _ranked(certain: Sequence[Verdict], speed: ShaftSpeed) -> list[tuple[Verdict
     for i in rows:
         best.setdefault(certain[i].kind.name, (certain[i], float(share[i])))
     out = list(best.values())
-    alike = {v.kind.name for v, own in out if own > SEPARATION_SHARE * out[0][1]}
+    alike = {v.kind.name for v, own in out if own > LIMITS.separation_share * out[0][1]}
     if {"BSF", "FTF"} <= alike:
         out.sort(key=lambda entry: entry[0].kind.name != "BSF")
     return out
@@ -246,13 +234,13 @@ def _explained(comb: Comb, table: LineTable) -> float:
 
 def _free_comb(table: LineTable, speed: ShaftSpeed) -> Comb | None:
     """The clearest comb of one table at any order."""
-    low, high = MIN_FREE_ORDER * speed.hz, MAX_FREE_ORDER * speed.hz
-    peaks = clear_peaks(table, low, len(FREE_DIVISORS) * high, FREE_PEAKS)
-    starts = np.unique(np.concatenate([peaks / q for q in FREE_DIVISORS]))
+    low, high = LIMITS.min_free_order * speed.hz, LIMITS.max_free_order * speed.hz
+    peaks = clear_peaks(table, low, len(LIMITS.free_divisors) * high, LIMITS.free_peaks)
+    starts = np.unique(np.concatenate([peaks / q for q in LIMITS.free_divisors]))
     whole = np.maximum(np.rint(starts / speed.hz), 1.0) * speed.hz
-    near = np.abs(starts - whole) < MIN_FREE_DISTANCE_REL * whole + 1.0 / table.spectrum.seconds
+    near = np.abs(starts - whole) < LIMITS.min_free_distance_rel * whole + 1.0 / table.spectrum.seconds
     starts = starts[(starts >= low) & (starts <= high) & ~near]
-    searched = GRID_PER_BIN * HARMONIC_COUNTS[-1] * (high - low) * table.spectrum.seconds / table.width
+    searched = LIMITS.grid_per_bin * LIMITS.harmonic_counts[-1] * (high - low) * table.spectrum.seconds / table.width
     return best_comb(table, starts, searched=searched)
 
 
@@ -264,7 +252,7 @@ def _reported(
     hz = refined_fundamental(first.comb)
     numbers, depths = clear_harmonics(first.comb)
     order, name, table = hz / speed.hz, first.kind.name, first.comb.table
-    if numbers[0] == 1 and depths[1:].max(initial=0.0) < MIN_STRIKE_HARMONIC_REL * depths[0]:
+    if numbers[0] == 1 and depths[1:].max(initial=0.0) < LIMITS.min_strike_harmonic_rel * depths[0]:
         text = f"the vibration is modulated at {order:.3f} x shaft speed ({name}), too smoothly for strikes"
         return [], [Message(MODULATION_AT_ORDER, text)]
     train = StrikeTrain(
@@ -281,7 +269,7 @@ def _reported(
     rivals = [
         f"{v.kind.name} ({v.comb.hz / speed.hz:.3f} x shaft speed)"
         for v, own in ranked[1:]
-        if own > SEPARATION_SHARE * share and v.kind.name != "FTF"
+        if own > LIMITS.separation_share * share and v.kind.name != "FTF"
     ]
     if not rivals:
         return [train], []

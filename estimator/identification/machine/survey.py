@@ -7,15 +7,13 @@ from estimator.identification.record import RecordSurvey, moments
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Message
 
-from .envelope import BANDS_PER_RATE
 from .machine_survey import MachineSurvey, Tone
 from .spectra import channel_spectra
 from .speed import rate_contradiction, shaft_speed
 from .strikes import find_strikes
+from .thresholds import LIMITS
 from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
 
-MAX_TONES_SHOWN = 10
-LIVE_BANDS_PER_RATE = (1, 4)  # a third of the cost of the bank for a record
 FORCE_UNIT = "N"
 MORE_TONES = "more_tones"  # tones beyond those shown
 NO_PIECES = "no_gap_free_piece"  # a channel has no run of samples that is long enough
@@ -54,7 +52,7 @@ def survey_machine(
     rms = {name: moments(y[:, columns[name]]).sd for name in spectra}
     units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
-    bank = LIVE_BANDS_PER_RATE if live else BANDS_PER_RATE
+    bank = LIMITS.live_bands_per_rate if live else LIMITS.bands_per_rate
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed, bank)
     lines = significant_lines(spectra)
     if speed is not None and (rate := rate_contradiction(lines, speed, model.speed_rpm)):
@@ -79,7 +77,7 @@ def _columns(model: Model, skipped: frozenset[str]) -> dict[str, int]:
 def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:
     """The strongest tones, orders 1 and 2 among them, and the remark on the others."""
     first = [t for t in tones if t.kind == "order" and t.order in (1.0, 2.0)]
-    others = [t for t in tones if t not in first][: max(0, MAX_TONES_SHOWN - len(first))]
+    others = [t for t in tones if t not in first][: max(0, LIMITS.max_tones_shown - len(first))]
     shown = tuple(t for t in tones if t in first or t in others)
     left = len(tones) - len(shown)
     more = [Message(MORE_TONES, f"{left} weaker tones are not shown")] if left else []

@@ -11,25 +11,10 @@ from estimator.arrays import Array
 from estimator.model.rig import LineBand
 
 from .machine_survey import ShaftSpeed, StrikeTrain, Tone, ToneKind
-from .spectra import HANN_BIN_CORRELATION, LevelSpectrum
+from .spectra import LevelSpectrum
+from .thresholds import LIMITS
 
-MAX_FALSE_TONE_CHANCE = 1e-3  # of one false line in a record
-MIN_DAMPING_RATIO = 1e-3  # of a structure; a peak narrower than its resonance is a line
-HANN_HALF_POWER_BINS = 1.44  # width of a line under a Hann window
-LOBE_BINS = 2  # on either side of the bin of a line that hold its power
-REACH_HALF_WIDTHS = 3.0  # of a band about a line, over the resolution that holds most of it
-EDGE_BINS = 3  # at 0 Hz and at half the rate in which no line is looked for
-MAX_LINES_PER_LEVEL = 400
-MAINS_HZ = (50.0, 60.0)
-MAX_MAINS_MULTIPLE = 12
-MAINS_TOLERANCE_REL = 2e-3  # of a grid from its nominal frequency, and of the clock of a recorder
-MAX_MAINS_TOLERANCE_REL = 0.015  # of the mains frequency; a record that places a line worse does not name it
-MAX_ORDER_TOLERANCE = 0.03  # of the shaft's frequency; what places a line worse calls one in twenty an order by chance
-MAX_STRONG_ORDER_TOLERANCE = 0.05  # for the orders that every shaft has
-MAX_WANDER_REL = 0.01  # of a harmonic of the shaft at a steady speed, half its width
 STRONG_ORDERS = range(1, 6)  # of every shaft, also where a bearing strikes
-STRIKE_SIDEBANDS, STRIKE_TOLERANCE_REL = 2, 2e-3  # at the shaft speed, to either side; slip from strike to strike
-RESOLUTION_BINS = 1.0  # between a line and the frequency that it is said to have
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +37,8 @@ class Line:
     @property
     def band(self) -> LineBand:
         """The band that holds the line, skirts of one that wanders included."""
-        reach = REACH_HALF_WIDTHS * self.half_width_hz
-        power = self.power_ratio * HANN_BIN_CORRELATION * self.half_width_hz
+        reach = LIMITS.reach_half_widths * self.half_width_hz
+        power = self.power_ratio * LIMITS.hann_bin_correlation * self.half_width_hz
         return LineBand(low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power)
 
 
@@ -74,7 +59,7 @@ def lines_to_leave_out(
     mains = _mains_hz(lines, speed)
 
     def is_harmonic(line: Line) -> bool:
-        if line.half_width_hz > MAX_WANDER_REL * line.hz:
+        if line.half_width_hz > LIMITS.max_wander_rel * line.hz:
             return False
         of_shaft = speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
         return of_shaft or mains is not None and _is_mains(line, mains)
@@ -119,27 +104,27 @@ def significant_lines(spectra: Mapping[str, Sequence[LevelSpectrum]]) -> list[Li
 def _lines_of(channel: str, level: LevelSpectrum, log_searched: float) -> list[Line]:
     """Significant peaks of one spectrum."""
     P = level.power
-    inner = np.arange(EDGE_BINS, P.size - EDGE_BINS)
+    inner = np.arange(LIMITS.edge_bins, P.size - LIMITS.edge_bins)
     around = np.max([P[inner + d] for d in (-2, -1, 1, 2)], axis=0) if inner.size else np.empty(0)
     peaks = inner[P[inner] > around] if inner.size else inner
     log_p = level.log_p(peaks) + log_searched
-    clear = np.flatnonzero(log_p < np.log(MAX_FALSE_TONE_CHANCE))
-    clear = clear[np.argsort(log_p[clear])][:MAX_LINES_PER_LEVEL]
+    clear = np.flatnonzero(log_p < np.log(LIMITS.max_false_tone_chance))
+    clear = clear[np.argsort(log_p[clear])][: LIMITS.max_lines_per_level]
     out = []
     for k, own in zip(peaks[clear], log_p[clear], strict=True):
-        lobe = slice(k - LOBE_BINS, k + LOBE_BINS + 1)
+        lobe = slice(k - LIMITS.lobe_bins, k + LIMITS.lobe_bins + 1)
         power = np.maximum(P[lobe] - level.noise[k], 0.0)
         hz = float(np.arange(lobe.start, lobe.stop) @ power / power.sum() / level.seconds)
-        damping = 0.5 * HANN_HALF_POWER_BINS / level.seconds / hz
+        damping = 0.5 * LIMITS.hann_half_power_bins / level.seconds / hz
         out.append(
             Line(
                 channel=channel,
                 hz=hz,
-                half_width_hz=RESOLUTION_BINS / level.seconds,
-                amplitude=float(np.sqrt(power.sum() / HANN_BIN_CORRELATION)),
+                half_width_hz=LIMITS.resolution_bins / level.seconds,
+                amplitude=float(np.sqrt(power.sum() / LIMITS.hann_bin_correlation)),
                 log_p=float(own),
                 power_ratio=float(P[k] / level.noise[k]),
-                narrow=damping < MIN_DAMPING_RATIO or level.is_steady(int(k)),
+                narrow=damping < LIMITS.min_damping_ratio or level.is_steady(int(k)),
             )
         )
     return out
@@ -184,9 +169,12 @@ def without_strike_lines(
 
 def _is_of_train(line: Line, train_hz: float, shaft_hz: float) -> bool:
     """Whether a line is a harmonic of a train or a sideband of one."""
-    for side in np.arange(-STRIKE_SIDEBANDS, STRIKE_SIDEBANDS + 1) * shaft_hz:
+    for side in np.arange(-LIMITS.strike_sidebands, LIMITS.strike_sidebands + 1) * shaft_hz:
         k = round((line.hz - side) / train_hz)
-        if k >= 1 and abs(line.hz - side - k * train_hz) <= line.half_width_hz + STRIKE_TOLERANCE_REL * k * train_hz:
+        if (
+            k >= 1
+            and abs(line.hz - side - k * train_hz) <= line.half_width_hz + LIMITS.strike_tolerance_rel * k * train_hz
+        ):
             return True
     return False
 
@@ -254,7 +242,7 @@ def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
     """The shaft order that a line at a frequency is, 0 for none. half_width_hz : resolution of the record."""
     k = round(hz / speed.hz)
     tolerance = half_width_hz + 2.0 * k * speed.sd_hz
-    limit = MAX_STRONG_ORDER_TOLERANCE if k in STRONG_ORDERS else MAX_ORDER_TOLERANCE
+    limit = LIMITS.max_strong_order_tolerance if k in STRONG_ORDERS else LIMITS.max_order_tolerance
     near = k >= 1 and abs(hz - k * speed.hz) <= tolerance and tolerance <= limit * speed.hz
     return k if near else 0
 
@@ -262,8 +250,11 @@ def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
 def _is_mains(line: Line, mains: float) -> bool:
     """Whether a line is a multiple of the mains frequency (Hz)."""
     k = round(line.hz / mains)
-    tolerance = 0.5 * line.half_width_hz + MAINS_TOLERANCE_REL * line.hz
-    return 1 <= k <= MAX_MAINS_MULTIPLE and abs(line.hz - k * mains) <= tolerance < MAX_MAINS_TOLERANCE_REL * mains
+    tolerance = 0.5 * line.half_width_hz + LIMITS.mains_tolerance_rel * line.hz
+    return (
+        1 <= k <= LIMITS.max_mains_multiple
+        and abs(line.hz - k * mains) <= tolerance < LIMITS.max_mains_tolerance_rel * mains
+    )
 
 
 def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
@@ -271,7 +262,7 @@ def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
 
     The first or the second multiple has to stand at the ratio.
     """
-    for mains in MAINS_HZ:
+    for mains in LIMITS.mains_hz:
         at = [_multiples(lines, mains * r) for r in (ratio, 1.0)]
         if at[0] & {1, 2} and not at[1]:
             return mains
@@ -283,14 +274,14 @@ def _multiples(lines: Sequence[Line], hz: float) -> set[int]:
     return {
         k
         for line in lines
-        if 1 <= (k := round(line.hz / hz)) <= MAX_MAINS_MULTIPLE
-        and line.half_width_hz < MAX_MAINS_TOLERANCE_REL * hz
-        and abs(line.hz / (k * hz) - 1.0) < MAINS_TOLERANCE_REL
+        if 1 <= (k := round(line.hz / hz)) <= LIMITS.max_mains_multiple
+        and line.half_width_hz < LIMITS.max_mains_tolerance_rel * hz
+        and abs(line.hz / (k * hz) - 1.0) < LIMITS.mains_tolerance_rel
     }
 
 
 def _mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
     """The grid of whose multiples the record shows more, Hz; None without any that is no order of the shaft."""
     free = [line for line in lines if speed is None or not shaft_order(line.hz, line.half_width_hz, speed)]
-    evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in MAINS_HZ])
-    return MAINS_HZ[int(np.argmax(evidence))] if evidence.any() else None
+    evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in LIMITS.mains_hz])
+    return LIMITS.mains_hz[int(np.argmax(evidence))] if evidence.any() else None

@@ -30,16 +30,11 @@ from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.regressor_set import tangent_response
 
 from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
+from .thresholds import LIMITS
 
 Float32Series = NDArray[np.float32]
 GROUP_NAMES = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
-X_KNOT_STEP_RMS = 0.35  # between knots of the displacement, over its rms
-V_KNOT_STEP_RMS = 0.5  # between knots of the velocity, over its rms
-KNOT_SPAN_RMS = 3.7  # knots on either side reach this far, over the rms
-MIN_OWN_POWER_SHARE = 1e-3  # of a regressor's power beside the model's own: with less it has no response of its own
 MIN_VISIT_SAMPLES = 30  # beyond the last knot but one, on each side
-SECOND_ORDER_RECORD_S = 5.0  # of the record, for second-order corrections: gains are within 0.04 nats of those of 33 s
-MIN_HAT_WIDTH_KICKS = 2.5  # of a hat of velocity, over the change of velocity by the force within tau of the band
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +130,6 @@ def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-unty
             slopes[8 + 2 * k, 2] += over + bend * y * y
 
 
-LEVEL_REGRESSORS, OTHER_DIRECTION_REGRESSORS = 5, 11  # in these groups
-
-
 def _evaluated(law: Callable[..., None], columns: int, *states: Float32Series) -> tuple[list[Float32Series], Array]:
     """The regressors of a law of some states, and the means (columns, 4) of their derivatives."""
     out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
@@ -151,7 +143,7 @@ def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
     scale : rms of the state. step : between knots, over the rms. A hat function that is not zero at one sample only
     would gain likelihood by its mean derivative alone.
     """
-    half = int(np.ceil(KNOT_SPAN_RMS / step))
+    half = int(np.ceil(LIMITS.knot_span_rms / step))
     while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < MIN_VISIT_SAMPLES:
         half -= 1
     return np.arange(-half, half + 1, dtype=np.float64) * step * scale
@@ -184,7 +176,9 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     """
     tau, mass = 0.5 / point.data.band[1], float(point.data.mass[i])
     k, c = (max(float(z), 0.0) / mass for z in point.mean_tangent[i, i])
-    return max(V_KNOT_STEP_RMS, MIN_HAT_WIDTH_KICKS * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
+    return max(
+        LIMITS.v_knot_step_rms, LIMITS.min_hat_width_kicks * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau
+    )
 
 
 def _state_group(data: MotionRecord, i: int, name: str, series: list[Float32Series], slopes: Array) -> RegressorGroup:
@@ -211,7 +205,9 @@ def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
         data,
         i,
         "other_direction",
-        *_evaluated(_other_direction_regressors, OTHER_DIRECTION_REGRESSORS, *(z.astype(np.float32) for z in states)),
+        *_evaluated(
+            _other_direction_regressors, LIMITS.other_direction_regressors, *(z.astype(np.float32) for z in states)
+        ),
     )
     return _on_denoised_displacement(found, data, i)
 
@@ -254,7 +250,7 @@ def regressor_groups(
         return float(np.mean(z, dtype=np.float64))
 
     yield _on_denoised_displacement(
-        _state_group(data, i, "level", *_evaluated(_level_regressors, LEVEL_REGRESSORS, u, w)), data, i
+        _state_group(data, i, "level", *_evaluated(_level_regressors, LIMITS.level_regressors, u, w)), data, i
     )
     beside = other_direction_group(data, i)
     if beside is not None:
@@ -291,10 +287,10 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[RegressorGroup]] = []
     ends = (
-        hat_knots(data.displacement(i), float(data.rms[0, i]), X_KNOT_STEP_RMS),
+        hat_knots(data.displacement(i), float(data.rms[0, i]), LIMITS.x_knot_step_rms),
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
-    most = sum(z.size for z in ends) + LEVEL_REGRESSORS + OTHER_DIRECTION_REGRESSORS + 6 + 2 * len(orders)
+    most = sum(z.size for z in ends) + LIMITS.level_regressors + LIMITS.other_direction_regressors + 6 + 2 * len(orders)
     rows = most * -(-data.blocks // TIME_FOLDS)
     room = np.empty(0, np.float32)  # of all folds: memory that is new takes longer than what is computed in it
     for f in range(TIME_FOLDS):
@@ -322,7 +318,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     columns = np.split(mean[:, i], np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
     whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
     around = point.fluctuations[i]
-    here = around and around.shorter(SECOND_ORDER_RECORD_S)
+    here = around and around.shorter(LIMITS.second_order_record_s)
     tangents: Complexes = np.concatenate([_group_tangents(point, i, g, here, orders, times) for g in whole])
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
@@ -342,7 +338,7 @@ def with_known_response(problem: Subproblem) -> Subproblem:
     size = np.sqrt(np.maximum(np.diag(own), 1e-300))
     weights = np.linalg.pinv(own / np.multiply.outer(size, size), rcond=1e-10) @ (cross / size[:, None]) / size[:, None]
     left = 1.0 - np.einsum("bk,bk->k", cross, weights) / np.maximum(np.diag(G)[b:], 1e-300)
-    known = np.flatnonzero(left < MIN_OWN_POWER_SHARE)
+    known = np.flatnonzero(left < LIMITS.min_own_power_share)
     tangents = gram.tangents.copy()
     tangents[b + known] = np.tensordot(weights[:, known].T, tangents[:b], 1)
     apart = None if gram.apart is None else gram.apart.copy()

@@ -15,8 +15,7 @@ from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 
-POLYNOMIAL_DEGREE = 9  # of the smooth curves
-RIDGE_SHARE = 1e-3  # of a regressor's own information: holds hat functions without samples at zero
+from .thresholds import LIMITS
 
 
 def group_p_value(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
@@ -50,8 +49,8 @@ def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> A
     """(earlier + 8, extra) weights: earlier extra regressors unchanged, then polynomials of the hat functions."""
     u = 3.7 * knots / knots[-1]  # about in rms
     rows = [
-        hermeval(u, np.eye(POLYNOMIAL_DEGREE + 1)[d]) / math.sqrt(math.factorial(d))
-        for d in range(2, POLYNOMIAL_DEGREE + 1)
+        hermeval(u, np.eye(LIMITS.polynomial_degree + 1)[d]) / math.sqrt(math.factorial(d))
+        for d in range(2, LIMITS.polynomial_degree + 1)
     ]
     own = np.stack(rows) / problem.gram.scales[-len(names) :]
     return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
@@ -63,12 +62,12 @@ def fit_with_ridge(problem: Subproblem) -> PathFit:
 
 
 def ridge_information(problem: Subproblem) -> float:
-    """Information of the weak prior: `RIDGE_SHARE` of the mean information of an extra regressor."""
+    """Information of the weak prior: `ridge_share` of the mean information of an extra regressor."""
     G = problem.gram.G.sum(axis=1)
     n = problem.gram.n.sum(axis=1)
     S = G[:, 0, 0] / n
     own = 2 * np.einsum("ikk->ik", G / S[:, None, None]).sum(axis=0)[1 + len(problem.base) :]
-    return RIDGE_SHARE * float(np.mean(own)) if own.size else 0.0
+    return LIMITS.ridge_share * float(np.mean(own)) if own.size else 0.0
 
 
 def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
@@ -83,7 +82,7 @@ def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> 
         A = A - B @ np.linalg.pinv(Q[np.ix_(others, others)], rcond=1e-6) @ B.T
     d = np.sqrt(np.maximum(whole[at], 1e-300))
     e = np.linalg.eigvalsh(A / np.multiply.outer(d, d))
-    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE_SHARE))))
+    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + LIMITS.ridge_share))))
 
 
 def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:

@@ -36,12 +36,10 @@ from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
 from estimator.signals.band_limit import passband
 
+from .thresholds import LIMITS
+
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
 RECORD_PIECES = 16  # of equal length, to see a phase that drifts
-MAX_STEPS = 8  # of the parameters at one working point
-MIN_BAND_GAIN = 0.9  # of the band filter, at a frequency that counts as in the band
-MIN_UNEXPLAINED_REL = 0.5  # residual amplitude over that by the mean tangent: with less the laws explain the line
-SETTLED_STEP_SD = 0.1  # of the last step, in standard deviations
 
 
 def fit_found_harmonics(
@@ -83,11 +81,11 @@ def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str
 def _step_until_settled(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
     """The model with its periodic effects after steps until they rest. whole : (places, n) N without these."""
     found: dict[str, Parameter] = {}
-    for _ in range(MAX_STEPS):
+    for _ in range(LIMITS.max_steps):
         wave = _periodic_series(alone, point.data)
         before = found
         alone, found = refine_harmonics(alone, point, np.subtract(whole, wave, out=wave))
-        if _largest_step_sd(before, found) < SETTLED_STEP_SD:
+        if _largest_step_sd(before, found) < LIMITS.settled_step_sd:
             break
     return alone, found
 
@@ -250,4 +248,4 @@ def residual_tells(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
     """(f,) whether the residual force is the better reading of a line: in the band, if the model has laws."""
     if not point.placed:
         return np.zeros(f_hz.size, bool)
-    return np.asarray(passband(f_hz, point.data.rate_hz, point.data.band) > MIN_BAND_GAIN)
+    return np.asarray(passband(f_hz, point.data.rate_hz, point.data.band) > LIMITS.min_band_gain)

@@ -25,19 +25,9 @@ from estimator.results import Parameter
 from estimator.signals.line_spectrum import LineSpectrum
 
 from . import harmonic_fit
+from .thresholds import LIMITS
 
-SEARCHED_HARMONICS = 12  # of each candidate frequency in the blind search
-MAX_LINE_POWER_RATIO = 20.0  # power over noise that one harmonic may contribute
-NOISE_MARGIN_REL = 1.3  # as the local noise is known to about 10 %
-FALSE_TRAIN_CHANCE = 1e-4  # of a false train in a record
-MIN_ORDER, MAX_ORDER = 0.3, 30.0  # of the shaft, the limits of the effect's order
-VISIBLE_POWER_RATIO = 8.0  # power over noise of a visible harmonic
-UNMISSABLE_POWER_RATIO = 25.0  # power over noise of a harmonic that cannot be overlooked
 NEIGHBOUR_BINS = np.arange(4, 16)  # on either side of a line, for its noise
-RATIO_TOLERANCE_REL = 1e-3  # of the ratio of two fundamentals from a whole number
-GRID_PIECE_SIZE = 1 << 16  # frequencies that are looked at together: what is made for them stays small
-MISSING_POWER_REL = 0.25  # of the power of its neighbours, below which a harmonic is missing
-MAX_MISSING_SHARE = 0.2  # of the harmonics of a train
 
 
 def find_impact_train(
@@ -64,11 +54,11 @@ def find_impact_train(
         # a Hann line fills three bins; the largest of three is about 1.8 by chance
         gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
         clear = (
-            float(np.sum(np.clip(Z - 3.0, 0.0, MAX_LINE_POWER_RATIO))) - 0.15 * Z.size
+            float(np.sum(np.clip(Z - 3.0, 0.0, LIMITS.max_line_power_ratio))) - 0.15 * Z.size
         )  # one of them may be a resonance
         enough = 40 + 5 * np.sqrt(harmonics.size)
         i = int(np.argmax(gains))
-        visible = int((Z[i] > VISIBLE_POWER_RATIO).sum())
+        visible = int((Z[i] > LIMITS.visible_power_ratio).sum())
         if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _clarity_ratio(hz, fundamental)):
             continue
         F, unit = forces_of_lines(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
@@ -86,7 +76,7 @@ def _clarity_ratio(hz: float, other: float) -> float:
     as many between them. If it is real, these are as clear as the others.
     """
     q = max(hz / other, other / hz)
-    if abs(q - round(q)) > RATIO_TOLERANCE_REL * q:
+    if abs(q - round(q)) > LIMITS.ratio_tolerance_rel * q:
         return 1.0
     share = 0.5 * (1.0 + round(q))  # half of what they would win
     return share if hz < other else 1.0 / share
@@ -103,33 +93,34 @@ def _candidate_orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[floa
     steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
     if len(steady) >= 4:  # the spacing that most of the lines share
         spacing = np.diff(np.sort(steady))
-        out += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > MIN_ORDER * rotation][:20]
+        out += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > LIMITS.min_order * rotation][:20]
     return out + [hz / rotation for hz in _comb_fundamentals(s, Zs, rotation, model.band[1])]
 
 
 def _comb_fundamentals(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[float]:
     """Hz of the frequency whose first harmonics together are clearest in any channel, with its multiples 1/3 to 3."""
-    low, top = MIN_ORDER * rotation, min(MAX_ORDER * rotation, high / 4)
-    grid = np.arange(np.ceil(low * SEARCHED_HARMONICS * s.seconds), np.floor(top * SEARCHED_HARMONICS * s.seconds)) / (
-        SEARCHED_HARMONICS * s.seconds
-    )
+    low, top = LIMITS.min_order * rotation, min(LIMITS.max_order * rotation, high / 4)
+    grid = np.arange(
+        np.ceil(low * LIMITS.searched_harmonics * s.seconds), np.floor(top * LIMITS.searched_harmonics * s.seconds)
+    ) / (LIMITS.searched_harmonics * s.seconds)
     totals, count = np.zeros((len(Zs), grid.size), np.float32), np.zeros(grid.size)
-    bounded = np.minimum(Zs, MAX_LINE_POWER_RATIO, dtype=np.float32)
-    for k in range(1, SEARCHED_HARMONICS + 1):
+    bounded = np.minimum(Zs, LIMITS.max_line_power_ratio, dtype=np.float32)
+    for k in range(1, LIMITS.searched_harmonics + 1):
         inside = int(np.searchsorted(grid, high / k))
-        for first in range(0, inside, GRID_PIECE_SIZE):
-            piece = slice(first, min(first + GRID_PIECE_SIZE, inside))
+        for first in range(0, inside, LIMITS.grid_piece_size):
+            piece = slice(first, min(first + LIMITS.grid_piece_size, inside))
             at = np.rint(k * grid[piece] * s.seconds).astype(np.intp)
             for total, Z in zip(totals, bounded, strict=True):
                 total[piece] += Z[at]
         count[:inside] += 1
     best, found = 0.0, 0.0
     for total in totals if grid.size else ():
-        clear = total / NOISE_MARGIN_REL - count
+        clear = total / LIMITS.noise_margin_rel - count
         top = int(np.argmax(clear))
         if (
             clear[top] > best
-            and gammaincc(count[top], total[top] / NOISE_MARGIN_REL) * grid.size * len(Zs) < FALSE_TRAIN_CHANCE
+            and gammaincc(count[top], total[top] / LIMITS.noise_margin_rel) * grid.size * len(Zs)
+            < LIMITS.false_train_chance
         ):
             best, found = float(clear[top]), float(grid[top])
     return [_refined_fundamental(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
@@ -141,7 +132,7 @@ def _refined_fundamental(s: LineSpectrum, Zs: Array, hz: float, high: float) -> 
     for k in range(1, int(high / hz) + 1):
         at = int(round(k * hz * s.seconds))
         near = Z[max(at - 1, 0) : at + 2]
-        if near.size == 3 and near[1] > VISIBLE_POWER_RATIO and near[1] >= near.max():
+        if near.size == 3 and near[1] > LIMITS.visible_power_ratio and near[1] >= near.max():
             a, b, c = np.sqrt(near)
             shift = (2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b)
             hz += (at / s.seconds + float(np.clip(shift, -0.7, 0.7)) / s.seconds - k * hz) / k * 0.5
@@ -166,9 +157,9 @@ def _has_all_harmonics(F: Array, unit: Array) -> bool:
     F, unit : (harmonics,) N of its force, and of the noise near each harmonic.
     """
     expected = 0.5 * (F[:-2] + F[2:])
-    plain = (expected / unit[1:-1]) ** 2 > UNMISSABLE_POWER_RATIO
-    left_out = plain & (F[1:-1] ** 2 < MISSING_POWER_REL * expected**2)
-    return bool(left_out.sum() <= MAX_MISSING_SHARE * plain.sum())
+    plain = (expected / unit[1:-1]) ** 2 > LIMITS.unmissable_power_ratio
+    left_out = plain & (F[1:-1] ** 2 < LIMITS.missing_power_rel * expected**2)
+    return bool(left_out.sum() <= LIMITS.max_missing_share * plain.sum())
 
 
 def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: Array, i: int) -> bool:
@@ -177,12 +168,14 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
     F, unit : (harmonics,) N of the force by the mean tangent at location i, and of the noise near each harmonic.
     """
     over = F / unit
-    seen = (over**2 > VISIBLE_POWER_RATIO) & harmonic_fit.residual_tells(point, hz * np.arange(1.0, over.size + 1))
+    seen = (over**2 > LIMITS.visible_power_ratio) & harmonic_fit.residual_tells(
+        point, hz * np.arange(1.0, over.size + 1)
+    )
     if point.data.measured_force or not seen.any():
         return False
     left = harmonic_fit.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
     over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
-    return bool(np.sum(over_noise) < harmonic_fit.MIN_UNEXPLAINED_REL**2 * np.sum(over[seen] ** 2))
+    return bool(np.sum(over_noise) < LIMITS.min_unexplained_rel**2 * np.sum(over[seen] ** 2))
 
 
 def _defect_finding(

@@ -34,13 +34,7 @@ from estimator.signals.line_spectrum import LineSpectrum, line_spectrum, order_s
 
 from . import harmonic_fit, impact_train
 from .missing_force import NEGLIGIBLE_FORCE_SHARE
-
-NOISE_MARGIN_REL = 1.3  # of a line's power over the threshold, as the local noise is known to about 10 %
-FALSE_LINE_CHANCE = 1e-4  # of one false line in a record, in a blind search
-DISC_NOTCH_REL = 0.04  # half width of the excluded band at the disc resonance, over its frequency
-DISC_UNCERTAINTY_REL = 0.25  # of the disc resonance: shaft 30 % stiffer or disc 20 % lighter than the rig file says
-LINE_TOLERANCE_REL = 0.02  # difference between equal lines of two channels or caps, over their mean
-FALSE_ORDER_CHANCE = 1e-4  # of a false line at an order that is examined on purpose
+from .thresholds import LIMITS
 
 
 def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
@@ -49,7 +43,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     known = known_lines(model)
     rotation = (model.speed_rpm or 0.0) / 60.0
     tracked = [] if s.phase is None else [rotation, 2 * rotation]
-    threshold = NOISE_MARGIN_REL * float(np.log(s.Y.size / FALSE_LINE_CHANCE))
+    threshold = LIMITS.noise_margin_rel * float(np.log(s.Y.size / LIMITS.false_line_chance))
     lines = [
         hz
         for hz in _outstanding_lines(s, (*known, *tracked), threshold)
@@ -77,7 +71,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
 
 def _near_disc_resonance(model: Model, hz: float) -> bool:
     """Whether the disc may resonate at hz, within the uncertainty of shaft stiffness and disc mass."""
-    return any(abs(hz / (0.5 * sum(notch)) - 1.0) < DISC_UNCERTAINTY_REL for notch in shaft_notches(model))
+    return any(abs(hz / (0.5 * sum(notch)) - 1.0) < LIMITS.disc_uncertainty_rel for notch in shaft_notches(model))
 
 
 def _loads_caps_alike(point: WorkingPoint, s: LineSpectrum, hz: float) -> bool:
@@ -88,7 +82,7 @@ def _loads_caps_alike(point: WorkingPoint, s: LineSpectrum, hz: float) -> bool:
     F, noise = line_forces(point, s, hz)
     pairs = [(i, j) for i in range(len(F)) if (j := point.data.opposite(i)) is not None and i < j]
     return bool(pairs) and all(
-        abs(F[i] - F[j]) < LINE_TOLERANCE_REL * abs(F[i] + F[j]) / 2 + 3.0 * np.sqrt(noise[i] + noise[j])
+        abs(F[i] - F[j]) < LIMITS.line_tolerance_rel * abs(F[i] + F[j]) / 2 + 3.0 * np.sqrt(noise[i] + noise[j])
         for i, j in pairs
     )
 
@@ -104,7 +98,7 @@ def searched_spectrum(model: Model, point: WorkingPoint, y: Array, rate_hz: floa
         lambda f_hz: tangent_at(point, model, f_hz),
     )  # fmt: skip
     for notch in shaft_notches(model):  # any error of the model rings there like a line
-        s.noise[:, np.abs(s.f_hz / (0.5 * sum(notch)) - 1.0) < DISC_NOTCH_REL] = np.inf
+        s.noise[:, np.abs(s.f_hz / (0.5 * sum(notch)) - 1.0) < LIMITS.disc_notch_rel] = np.inf
     return s
 
 
@@ -178,7 +172,7 @@ def _line_finding(
     F, noise = line_forces(point, s, hz, order)
     Z = np.where(_made_by_laws(point, hz, order, F), 0.0, np.abs(F) ** 2 / noise)
     total, P = float(Z.sum()), len(Z)
-    needed = float(np.log(P / FALSE_ORDER_CHANCE)) + 6.0 if order else threshold
+    needed = float(np.log(P / LIMITS.false_order_chance)) + 6.0 if order else threshold
     if Z.max() < needed and total < needed + 3 * P:
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
@@ -262,12 +256,12 @@ def _force_or_hum(point: WorkingPoint, s: LineSpectrum, hz: float) -> str:
         place = point.data.places[int(np.argmax(seen))]
         return f"only the channel of {place} shows the line: a force there, or hum, which a rotor at rest leaves"
     mean = np.mean(Y)
-    alike = np.abs(Y - mean) < LINE_TOLERANCE_REL * abs(mean) + 3.0 * np.sqrt(noise)
-    if not alike.all() or np.sqrt(noise.max()) > 5.0 * LINE_TOLERANCE_REL * abs(mean):
+    alike = np.abs(Y - mean) < LIMITS.line_tolerance_rel * abs(mean) + 3.0 * np.sqrt(noise)
+    if not alike.all() or np.sqrt(noise.max()) > 5.0 * LIMITS.line_tolerance_rel * abs(mean):
         return ""
     A = tangent_at(point, s.model, np.array([hz]))[0]
     moved = np.linalg.solve(A, np.ones(Y.size))
-    if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * LINE_TOLERANCE_REL:
+    if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * LIMITS.line_tolerance_rel:
         return "the same acceleration in every channel: one force on all caps, or hum that the sensors pick up"
     return "the same acceleration in every channel: hum in the sensors, as a force would move these caps differently"
 
@@ -283,7 +277,7 @@ def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> N
         return np.zeros(F.size, bool)
     angle = order * data.phase if order else 2 * np.pi * hz * data.t
     residual = np.array([harmonic_fit.residual_harmonics(point, i, angle, 1)[0] for i in range(F.size)])
-    return np.asarray(np.abs(residual) < harmonic_fit.MIN_UNEXPLAINED_REL * np.abs(F))
+    return np.asarray(np.abs(residual) < LIMITS.min_unexplained_rel * np.abs(F))
 
 
 def _cap_forces_of_disc(model: Model, point: WorkingPoint, disc: str, rotation: float) -> Complexes:

@@ -31,18 +31,7 @@ from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, fault_response, measured_force_places
 
 from .missing_force import NEGLIGIBLE_FORCE_SHARE
-
-MAX_CELLS, SINGLE_BIN_CELLS, MIN_CELLS = 900, 20, 100  # of the band; of one bin at its lower end; to judge a path
-INDEPENDENT_PER_BIN = 0.439  # numbers per bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
-LINE_HALF_WIDTH_BINS = 2.5  # left out on either side of a tone
-MAX_FAULT_P_VALUE = 1e-2  # of a finding
-MIN_EXPLAINED_SHARE = 0.8  # of the coherent power, for a fault: it leaves at most a fifth of what it explains
-MIN_BIAS_SD = 8.0  # of the coherent power, for a path that is bent by an unknown cause
-MIN_FORCE_NOISE_RATIO = 2e-3  # of powers, noise of a channel over force: less moves c by less than its sd
-MIN_GAIN_ERROR_REL = 2e-3  # of a gain: less is within any calibration and weighing of a cap
-MIN_GAIN_OVER_NOISE = 2.0  # of a gain error over the share of noise that the force channel may have
-DELAY_STARTS_SAMPLES = (0.0, -3.0, -1.0, 1.0, 3.0)  # from which searches start
-GAIN_STARTS_REL = (0.0, -2.0)  # an inverted sensor has the error -2
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,11 +85,11 @@ def measured_path(point: WorkingPoint, i: int, lines: Collection[float] = ()) ->
     R = _spectra(point.force[i], data.block, data.start)[:, data.bins]
     motion = [1j * w * _spectra(data.v[j], data.block, data.start)[:, data.bins] for j in range(len(data.places))]
     f = sum(point.A[:, i, j] * a for j, a in enumerate(motion) if point.A[:, i, j].any()) - R
-    keep = np.all([np.abs(data.f_hz - hz) > LINE_HALF_WIDTH_BINS * spacing for hz in lines] or [w > 0.0], axis=0)
-    if keep.sum() < MIN_CELLS:
+    keep = np.all([np.abs(data.f_hz - hz) > LIMITS.line_half_width_bins * spacing for hz in lines] or [w > 0.0], axis=0)
+    if keep.sum() < LIMITS.min_cells:
         return None
-    edges = np.unique(np.round(np.geomspace(SINGLE_BIN_CELLS, keep.sum(), MAX_CELLS)).astype(int))
-    first = np.concatenate([np.arange(SINGLE_BIN_CELLS), edges[:-1]])
+    edges = np.unique(np.round(np.geomspace(LIMITS.single_bin_cells, keep.sum(), LIMITS.max_cells)).astype(int))
+    first = np.concatenate([np.arange(LIMITS.single_bin_cells), edges[:-1]])
     width = np.diff(np.append(first, keep.sum())).astype(np.float64)
 
     def mean(z: NDArray[np.generic]) -> Complexes:
@@ -109,7 +98,7 @@ def measured_path(point: WorkingPoint, i: int, lines: Collection[float] = ()) ->
     scale = 2.0 / (data.rate_hz * 0.375 * data.block)
     rr, rf, af, ff = (mean(scale * np.mean(p * q.conj(), axis=0)) for p, q in ((R, R), (R, f), (motion[i], f), (f, f)))
     return MeasuredPath(
-        w=mean(w).real, hz=spacing * width, n=INDEPENDENT_PER_BIN * width * len(R), A=mean(point.A[:, i, i]),
+        w=mean(w).real, hz=spacing * width, n=LIMITS.independent_per_bin * width * len(R), A=mean(point.A[:, i, i]),
         error=rf / af, per_force=np.abs(af) / np.sqrt(ff.real),
         rest=np.maximum(rr.real - np.abs(rf) ** 2 / ff.real, 1e-12 * rr.real), force=ff.real,
         noise_share=float(-(rf.real @ width) / (rr.real @ width)),
@@ -166,8 +155,8 @@ def is_delay(effect: str) -> bool:
 
 def _tried_faults(point: WorkingPoint, i: int, r: MeasuredPath, names: Collection[str]) -> dict[str, FaultFit]:
     """The fit with each of some faults at place i."""
-    delays = [d / point.data.rate_hz for d in DELAY_STARTS_SAMPLES]
-    return {name: fit_path(r, name, delays if is_delay(name) else GAIN_STARTS_REL) for name in names}
+    delays = [d / point.data.rate_hz for d in LIMITS.delay_starts_samples]
+    return {name: fit_path(r, name, delays if is_delay(name) else LIMITS.gain_starts_rel) for name in names}
 
 
 def find_path_faults(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Finding]:
@@ -188,7 +177,7 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, r: MeasuredPath) 
     place, base = point.data.places[i], fit_path(r)
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     power, z = r.coherent(base.left)
-    if power < least or z < MIN_BIAS_SD:
+    if power < least or z < LIMITS.min_bias_sd:
         return []
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     known = model.cap_mass(place) is not None
@@ -200,9 +189,9 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, r: MeasuredPath) 
         explained = power - r.coherent(fit.left)[0]
         gain, q = fit.nats - base.nats, CATALOGUE[name].parameters[0]
         p = float(min(1.0, chdtrc(1, 2 * max(gain, 0.0)) * len(tried) * len(point.data.places)))
-        if explained < max(MIN_EXPLAINED_SHARE * power, least) or p > MAX_FAULT_P_VALUE:
+        if explained < max(LIMITS.min_explained_share * power, least) or p > LIMITS.max_fault_p_value:
             continue
-        if not is_delay(name) and max(-MIN_GAIN_OVER_NOISE * noise, -1.0) < fit.p < MIN_GAIN_ERROR_REL:
+        if not is_delay(name) and max(-LIMITS.min_gain_over_noise * noise, -1.0) < fit.p < LIMITS.min_gain_error_rel:
             return []  # within calibration, or noise of the force channel
         out.append(
             Finding(
@@ -241,7 +230,7 @@ def force_noise_ratio(model: Model, point: WorkingPoint) -> dict[str, float]:
             rest = r.noise_share * float(np.average(r.rest / r.force, weights=r.hz))  # p (1 - p), p the share of noise
             share = 0.5 * (1.0 - float(np.sqrt(max(1.0 - 4.0 * rest, 0.0))))
             out[place] = share / (1.0 - share)
-    return {place: ratio for place, ratio in out.items() if ratio > MIN_FORCE_NOISE_RATIO}
+    return {place: ratio for place, ratio in out.items() if ratio > LIMITS.min_force_noise_ratio}
 
 
 def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:

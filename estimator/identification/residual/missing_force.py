@@ -29,12 +29,9 @@ from estimator.parallel import map_processes
 
 from . import black_box
 from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_ridge, group_p_value, hidden_power
+from .thresholds import LIMITS
 
-MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the groups and locations tried
-SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
-SURVEY_ROWS = 600_000  # at least, of a record at a low rate
 NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
-NEGLIGIBLE_EXCITATION_SHARE = 0.02  # of the rms excitation: no background is known so well as to tell less from it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +127,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
             upper = max(upper, *(group.hidden_N2 for group in tried))
         best = min(tried, key=lambda group: (group.p_value, -group.gain_nats))
         p = min(1.0, best.p_value * tries)
-        if p > MAX_GROUP_P_VALUE:
+        if p > LIMITS.max_group_p_value:
             break
         total, _ = extra_power(point, best.problem, best.fit, i)
         if total - power < least:
@@ -160,7 +157,7 @@ def _negligible_power(point: WorkingPoint, i: int) -> float:
         return float(least)
     width_hz = point.data.bins.size * point.data.rate_hz / point.data.block
     excitation = point.S[i] * np.mean(point.data.excitation_shape[i]) * width_hz
-    return float(max(least, NEGLIGIBLE_EXCITATION_SHARE**2 * excitation))
+    return float(max(least, LIMITS.negligible_excitation_share**2 * excitation))
 
 
 def _try_group(
@@ -251,7 +248,7 @@ def stiffness_orders(model: Model) -> tuple[float, ...]:
 
 def survey_seconds(rate_hz: float) -> float:
     """Length of the part of a record that is surveyed, s."""
-    return max(SURVEY_S, SURVEY_ROWS / rate_hz)
+    return max(LIMITS.survey_s, LIMITS.survey_rows / rate_hz)
 
 
 def survey(

@@ -23,12 +23,7 @@ from estimator.parallel import map_threads
 from estimator.results import Message
 from estimator.signals.line_spectrum import local_noise
 
-from .lines import FALSE_LINE_CHANCE, NOISE_MARGIN_REL
-
-MIN_ORDER, MAX_ORDER = 0.3, 30.0  # of the shaft, searched
-FLOOR_BINS = 200  # of the padded spectrum on either side, whose median is the floor
-MAX_BINS_AT_ONCE = 1 << 21  # of a padded spectrum, of which two are made at once
-MIN_PADDING = 4  # bins of the padded spectrum for one of the record
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +99,16 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
     rotation = data.speed / (2 * np.pi)
     if rotation <= 0.0:
         return None
-    thin = max(1, int(data.rate_hz / (4.0 * MAX_ORDER * rotation)))
+    thin = max(1, int(data.rate_hz / (4.0 * LIMITS.max_order * rotation)))
     turned = (data.phase - data.phase[0]) / data.speed  # s, at the mean speed: a line of the shaft's stays one
     rows = np.rint(turned * data.rate_hz).astype(np.int64) // thin
-    size = next_fast_len(MIN_PADDING * (int(rows[-1]) + 1), real=True)
-    looked = min(size // 2 + 1, int(MAX_ORDER * rotation * size * thin / data.rate_hz) + 2 * FLOOR_BINS)  # bins
+    size = next_fast_len(LIMITS.min_padding * (int(rows[-1]) + 1), real=True)
+    looked = min(
+        size // 2 + 1, int(LIMITS.max_order * rotation * size * thin / data.rate_hz) + 2 * LIMITS.floor_bins
+    )  # bins
     f = np.arange(looked) / (size * thin / data.rate_hz)
     seconds = float(data.t[-1] - data.t[0])
-    usable = (f > max(MIN_ORDER * rotation, 10.0 / seconds)) & (f < MAX_ORDER * rotation)
+    usable = (f > max(LIMITS.min_order * rotation, 10.0 / seconds)) & (f < LIMITS.max_order * rotation)
     for k in (1.0, 2.0):
         usable &= np.abs(f - k * rotation) > 3.0 / seconds
     if not usable.any():
@@ -124,16 +121,18 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
-        nats = local_noise(power, FLOOR_BINS)
+        nats = local_noise(power, LIMITS.floor_bins)
         np.divide(power, nats, out=nats)
         nats[~usable] = 0.0
         k = int(np.argmax(nats))
         return float(nats[k]), float(f[k] + _peak_offset_bins(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
     places = range(len(data.places))
-    found = map_threads(clearest, places) if size <= MAX_BINS_AT_ONCE else [clearest(i) for i in places]  # memory
+    found = (
+        map_threads(clearest, places) if size <= LIMITS.max_bins_at_once else [clearest(i) for i in places]
+    )  # memory
     nats, hz = max(found)
-    if nats < NOISE_MARGIN_REL * np.log(np.count_nonzero(usable) * len(data.places) / FALSE_LINE_CHANCE):
+    if nats < LIMITS.noise_margin_rel * np.log(np.count_nonzero(usable) * len(data.places) / LIMITS.false_line_chance):
         return None
     return StiffnessOrder(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
 
@@ -141,7 +140,7 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
 def order_trials(point: WorkingPoint) -> float:
     """Number of independent frequencies searched for an order: the trials behind an order of the record."""
     data = point.data
-    return max(1.0, (MAX_ORDER - MIN_ORDER) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
+    return max(1.0, (LIMITS.max_order - LIMITS.min_order) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
 
 
 def _without_lines(force: Array) -> Array:
@@ -154,7 +153,9 @@ def _without_lines(force: Array) -> Array:
 
     Z = rfft(force * np.hanning(force.size))
     power = Z.real**2 + Z.imag**2
-    lines = power > NOISE_MARGIN_REL * np.log(Z.size / FALSE_LINE_CHANCE) * local_noise(power, FLOOR_BINS)
+    lines = power > LIMITS.noise_margin_rel * np.log(Z.size / LIMITS.false_line_chance) * local_noise(
+        power, LIMITS.floor_bins
+    )
     if not lines.any():
         return force
     Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0

@@ -28,10 +28,7 @@ from estimator.likelihood.whitening.contour import modes_at
 from estimator.likelihood.whitening.determinant import Jacobian, line_weights, tangent_times
 from estimator.likelihood.whitening.whitening import Whitening
 
-NODES_PER_WIDTH = 6.0  # of a resonance: the midpoint rule is then good to 1e-3 standard deviations of the parameters
-NODES_PER_DISTANCE = 15.0  # from a resonance
-ROUNDING_REL = 1e-9  # of a mean tangent: less is rounding
-FREQUENCY_CELLS = 12  # of the band, each with its own sensor noise
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +115,7 @@ class Anchor:
         moved, factor = tangents - self.tangents[:m], self.whitening.measured
         responses = self.responses[:m].copy()
         size = np.abs(self.tangents[:m]).max(axis=(1, 2, 3), initial=0.0)
-        some = np.flatnonzero(np.abs(moved).max(axis=(1, 2, 3), initial=0.0) > ROUNDING_REL * size)
+        some = np.flatnonzero(np.abs(moved).max(axis=(1, 2, 3), initial=0.0) > LIMITS.rounding_rel * size)
         if some.size:
             more = tangent_response(moved[some], self.s)
             responses[some] += more if factor is None else tangent_times(more, factor[self.nodes])
@@ -151,7 +148,7 @@ def anchor_at(
         tangents = np.array([t.tangent * t.scale for t in made]).reshape(-1, P, P, 2)
         whole = np.array([regressor_response(t, whitening.s) for t in made]).reshape(-1, P, P, whitening.s.size)
         more = whitening.tangents_to_measured(whole)[..., nodes]
-    cells = np.unique(np.geomspace(1, point.data.bins.size, FREQUENCY_CELLS + 1).astype(np.int64) - 1)[:-1]
+    cells = np.unique(np.geomspace(1, point.data.bins.size, LIMITS.frequency_cells + 1).astype(np.int64) - 1)[:-1]
     none = np.zeros(point.data.x.shape[1], bool)
     bare = point.data.at(none)
     return Anchor(
@@ -184,8 +181,8 @@ def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     resonances = np.sqrt(np.maximum(stiffness / data.mass, w[0] ** 2))
     near = {int(np.argmin(np.abs(w - one))) for one in resonances}
     modes = np.concatenate([modes_at(point.A[k], data.mass, 1j * w[k], data.rotor) for k in sorted(near)])
-    away = np.abs(f[:, None] - modes.imag / (2 * np.pi)) / NODES_PER_DISTANCE
-    allowed = np.maximum(away, np.abs(real - modes.real) / np.pi / NODES_PER_WIDTH).min(axis=1) / spacing
+    away = np.abs(f[:, None] - modes.imag / (2 * np.pi)) / LIMITS.nodes_per_distance
+    allowed = np.maximum(away, np.abs(real - modes.real) / np.pi / LIMITS.nodes_per_width).min(axis=1) / spacing
     bend = np.flatnonzero(np.diff(real[:, 0]))
     allowed[np.concatenate([bend, bend + 1])] = 1.0
     if data.background is not None:  # structural modes are steep too

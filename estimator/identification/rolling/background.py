@@ -30,19 +30,10 @@ from estimator.signals.channel_response import corrected_record
 from .anchor import anchor_at
 from .follower import Follower
 from .report import is_coloured
-from .start import START_BLOCKS, FirstFit, first_record
+from .start import FirstFit, first_record
+from .thresholds import LIMITS
 
-RECORD_S = 24.0  # of samples, in which a background is found
-BACKGROUND_PARTS = 4  # of them: each shows the background alone
-MAX_ROWS = 1 << 20  # of memory for them: 32 MB with four channels
-MAX_PARTS_APART_REL = 0.07  # of the stiffness: a mode of the wrong form moves it by 10 to 25 %, chance by 1 to 3 %
-PAUSE_REL = 2  # all samples so far times this, until the next search
 MAX_CORE_SHARE = 0.04  # of one core, that searches take in the long run
-FIRST_WORK_S, MAX_WORK_S = 0.1, 8.0  # of a core, for the first search and at most for one, beside its samples
-SAMPLES_PER_S = 5e6  # of all channels that a core filters and transforms, about: a processor of 2020
-FITTED_SAMPLES_PER_S = 1e6  # the same with a fit
-DERIVATIVES_PER_S = 2e7  # of spectra, by parameters, that a core computes and multiplies
-SLOW_MACHINE = 4.0  # times as long as that a search may take, before an estimate waits for it
 
 
 @dataclass(slots=True)
@@ -70,30 +61,30 @@ class BackgroundSearch:
     """
 
     def __init__(self, rate_hz: float, channels: int, block: int, run: Run) -> None:
-        least = BACKGROUND_PARTS * START_BLOCKS * block
-        rows = min(max(int(RECORD_S * rate_hz), least), MAX_ROWS) // block * block
+        least = LIMITS.background_parts * LIMITS.start_blocks * block
+        rows = min(max(int(LIMITS.record_s * rate_hz), least), LIMITS.max_rows) // block * block
         self.rows = rows if rows >= least else 0
         self._rate_hz, self._channels, self._block, self._run = rate_hz, channels, block, run
-        self._next = self._part = rows // BACKGROUND_PARTS
+        self._next = self._part = rows // LIMITS.background_parts
         self._parts: list[Mapping[str, float]] = []  # stiffness by place, of the parts that show a background
         self._search: Search | None = None  # that has begun
         self._work = Work()  # of the search that has begun
-        self._work_s, self._spent_s = FIRST_WORK_S, 0.0  # of a core, for the next search, and so far
+        self._work_s, self._spent_s = LIMITS.first_work_s, 0.0  # of a core, for the next search, and so far
 
     @property
     def _whole(self) -> bool:
         """Whether the whole is searched next: its parts agree."""
-        return len(self._parts) == BACKGROUND_PARTS
+        return len(self._parts) == LIMITS.background_parts
 
     @property
     def _samples_s(self) -> float:
         """Time of a core for the samples of the next search, s."""
-        rows, per_s = (self.rows, FITTED_SAMPLES_PER_S) if self._whole else (self._part, SAMPLES_PER_S)
+        rows, per_s = (self.rows, LIMITS.fitted_samples_per_s) if self._whole else (self._part, LIMITS.samples_per_s)
         return rows * self._channels / per_s
 
     def _allowed_s(self, seen: int) -> float:
         """Time of a core for the work of the next search beside its samples, after so many rows, s."""
-        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s - self._samples_s, MAX_WORK_S)
+        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s - self._samples_s, LIMITS.max_work_s)
 
     def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
         """Whether to go on after so many rows. coloured : whether the residual force is not white."""
@@ -110,16 +101,18 @@ class BackgroundSearch:
         if self._search is not None:
             return self._end(seen, self._search())
         allowed_s = self._allowed_s(seen)
-        self._work = Work(limit=allowed_s * DERIVATIVES_PER_S)
+        self._work = Work(limit=allowed_s * LIMITS.derivatives_per_s)
         y = np.concatenate(blocks)[-(self.rows if self._whole else self._part) :]
         asked = first, self._whole, lines, y, self._rate_hz, self._block, self._work
         self._search = self._run(partial(_searched, *asked))
-        self._next = seen + max(self._part // 2, int(SLOW_MACHINE * (allowed_s + self._samples_s) * self._rate_hz))
+        self._next = seen + max(
+            self._part // 2, int(LIMITS.slow_machine * (allowed_s + self._samples_s) * self._rate_hz)
+        )
         return None
 
     def _end(self, seen: int, found: FoundBackground | None) -> FirstFit | None:
         """End a search."""
-        self._search, work_s = None, min(self._work.done, self._work.limit) / DERIVATIVES_PER_S
+        self._search, work_s = None, min(self._work.done, self._work.limit) / LIMITS.derivatives_per_s
         self._spent_s += self._samples_s + work_s
         self._work_s = 1.5 * work_s
         if self._work.done > self._work.limit:
@@ -130,14 +123,14 @@ class BackgroundSearch:
             self._next = seen + (0 if self._whole else self._part // 2)
             return None
         first = found.first if found is not None and _agree(self._parts) else None
-        self._parts, self._next = [], PAUSE_REL * seen
+        self._parts, self._next = [], LIMITS.pause_rel * seen
         return first
 
 
 def _agree(parts: Sequence[Mapping[str, float]]) -> bool:
     """Whether parts of a record show the same stiffness at every place."""
     kL = np.array([[own[place] for place in parts[0]] for own in parts])
-    return bool(np.all(np.ptp(kL, axis=0) < MAX_PARTS_APART_REL * kL[0]))
+    return bool(np.all(np.ptp(kL, axis=0) < LIMITS.max_parts_apart_rel * kL[0]))
 
 
 def _searched(

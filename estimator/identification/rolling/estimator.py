@@ -38,20 +38,9 @@ from .follower import Follower
 from .piece import joined_motion, piece_record
 from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import START_BLOCKS, FirstFit, first_fit
+from .start import FirstFit, first_fit
+from .thresholds import LIMITS
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
-
-WARM_UP_S = 4.0  # of samples, at least, before the first fit
-PIECE_S = 0.5  # of samples, at most, between two estimates
-BLOCK_CYCLES = 16.0  # of the lower band edge in a block
-MIN_BLOCK_ROWS = 128
-RINGING_TIMES = 5.0  # of 1 / (zeta w0) of structural modes, beside a piece of motion: the rest is 0.7 %
-JOBS_PER_BLOCK = 4  # at most, of those that no estimate waits for
-MIN_BLOCKS = 6.0  # in the slow memory, for an estimate
-MIN_MEMORY_SHARE = 0.1  # of the time constant, or of the warm-up, that the slow memory has to hold
-PIECES_PER_WATCH = 6  # of the memory with the candidates
-PIECES_PER_LOOK = 6  # for missing force
-MAX_STILL_RMS_REL = 1e-6  # of the usual acceleration of a place, or of the other places: it does not move
 
 
 class RollingEstimator:
@@ -124,11 +113,15 @@ class RollingEstimator:
             dtype=np.float32,
         )  # fmt: skip
         self._gain = np.array([self._gain_of(model.channels[c]) for c in self._used])
-        self._block = max(MIN_BLOCK_ROWS, 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0]))))
-        self._job_rows = self._block // JOBS_PER_BLOCK
+        self._block = max(
+            LIMITS.min_block_rows, 1 << int(np.ceil(np.log2(LIMITS.block_cycles * rate_hz / model.band[0])))
+        )
+        self._job_rows = self._block // LIMITS.jobs_per_block
         self._jobs: list[Callable[[], None]] = []  # to be done, one every so many rows
-        self._piece = self._block * max(1, int(PIECE_S * rate_hz / self._block))
-        self._wanted = -(-max(int(WARM_UP_S * rate_hz), START_BLOCKS * self._block) // self._block) * self._block
+        self._piece = self._block * max(1, int(LIMITS.piece_s * rate_hz / self._block))
+        self._wanted = (
+            -(-max(int(LIMITS.warm_up_s * rate_hz), LIMITS.start_blocks * self._block) // self._block) * self._block
+        )
         self._background = BackgroundSearch(rate_hz, len(self._used), self._block, run)
         self._background_s = 0.0  # when it was found
         self._shaft = ShaftAngle(model, rate_hz)
@@ -187,9 +180,9 @@ class RollingEstimator:
         needed = -(-(self._wanted + self._filter.half) // self._piece) * self._piece + self._job_rows
         seen_s, needed_s, low = self._seen / self.rate_hz, needed / self.rate_hz, self.model.band[0]
         status = f"warming up: {seen_s:.3g} of {needed_s:.3g} s"
-        if self._wanted > WARM_UP_S * self.rate_hz + self._block:
-            status += f"; the first fit takes {START_BLOCKS} blocks of {self._block / self.rate_hz:.3g} s"
-            status += f", {BLOCK_CYCLES:.0f} periods of band.low = {low:g} Hz each"
+        if self._wanted > LIMITS.warm_up_s * self.rate_hz + self._block:
+            status += f"; the first fit takes {LIMITS.start_blocks} blocks of {self._block / self.rate_hz:.3g} s"
+            status += f", {LIMITS.block_cycles:.0f} periods of band.low = {low:g} Hz each"
         extra = {WARM_UP_S_KEY: seen_s, WARM_UP_NEEDED_S_KEY: needed_s}
         return Estimate(self._seen, {}, 0.0, status=status, extra=extra)
 
@@ -271,7 +264,9 @@ class RollingEstimator:
         denoised = bool(point.placed) and not data.measured_force
         self._margin = half_length(self.rate_hz, self.model.band) if denoised else 0
         if data.background is not None:
-            self._margin = max(self._margin, round(RINGING_TIMES * data.background.longest_ringing_s * self.rate_hz))
+            self._margin = max(
+                self._margin, round(LIMITS.ringing_times * data.background.longest_ringing_s * self.rate_hz)
+            )
         self._calm = record_denoising_filter(data, point.nu, point.S) if denoised else None
         watched = located_laws(candidates(first.model, self.watch), data)
         anchor = anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed, watched)
@@ -301,7 +296,7 @@ class RollingEstimator:
             return fault
         try:
             if (data := self._record(follower, motion)) is not None:
-                follower.take(data, bool(self.watch) and self._pieces % PIECES_PER_WATCH == 0)
+                follower.take(data, bool(self.watch) and self._pieces % LIMITS.pieces_per_watch == 0)
                 self._pieces += 1
         except NotFiniteError as error:
             return str(error)
@@ -322,7 +317,7 @@ class RollingEstimator:
             return ""
         rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
-        still = np.flatnonzero(rms <= MAX_STILL_RMS_REL * usual)
+        still = np.flatnonzero(rms <= LIMITS.max_still_rms_rel * usual)
         place = self.model.places[still[0]] if still.size else ""
         return f"{place} does not move in the band: check the sensor and the band" if place else ""
 
@@ -334,7 +329,9 @@ class RollingEstimator:
             self._show_nothing(fault)
             return
         seconds = n * self._block / self.rate_hz
-        if n < MIN_BLOCKS or seconds < MIN_MEMORY_SHARE * min(self.time_constant_s, WARM_UP_S):
+        if n < LIMITS.min_estimate_blocks or seconds < LIMITS.min_memory_share * min(
+            self.time_constant_s, LIMITS.warm_up_s
+        ):
             self._show_nothing("too few valid samples of late")
             return
         try:
@@ -346,7 +343,7 @@ class RollingEstimator:
         except (NotFiniteError, np.linalg.LinAlgError) as error:
             self._show_nothing(str(error))
             return
-        if self.watch and self._pieces % PIECES_PER_LOOK == 1:
+        if self.watch and self._pieces % LIMITS.pieces_per_look == 1:
             self._jobs.append(partial(self._look_for_missing, follower))
 
     def _show(self, follower: Follower) -> None:
@@ -382,7 +379,7 @@ class RollingEstimator:
         rows = (self._end - self._margin - first) // block * block
         motion = joined_motion(self._kept, first - self._margin, first + rows + self._margin)
         data = self._record(follower, motion)
-        if data is not None and data.blocks >= START_BLOCKS // 2:
+        if data is not None and data.blocks >= LIMITS.start_blocks // 2:
             data = replace(data, fold=time_folds(data.blocks))
             follower.renew_anchor(data)
             if self._margin:

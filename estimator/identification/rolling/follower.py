@@ -14,22 +14,10 @@ from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, in
 from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
-from .cell_power import excess_power, renewed_noise
 from .memory import Memory
-from .piece import piece_sums
+from .piece import excess_power, piece_sums, renewed_noise
+from .thresholds import LIMITS
 
-FAST_TIME_CONSTANT_REL = 0.25  # time constant of the fast memory over that of the slow one
-MIN_FAST_BLOCKS = 10.0  # time constant of the fast memory, least number of blocks
-MIN_WATCHED_BLOCKS = 36.0  # time constant of the memory with the candidates, least number of blocks
-MAX_STEPS = 30  # of Newton, to a maximum
-MAX_NEWTON_SD = 1.0  # length of one step, standard deviations, that needs no second one
-MIN_CHANGE_SD = 5.0  # between the two memories, of a parameter that has changed
-SOLUTIONS_PER_CHECK = 2  # check for a change
-MAX_ANCHOR_SD = 5.0  # of an increment, beyond which the anchor is renewed
-MAX_SEARCHED_STEP = 0.3  # of a parameter that a force is not linear in, over the step that the prior information allows
-MIN_LEVEL_RATIO = 1.1  # of the power, beyond which the mean tangents of a law are another: 5 % in rms
-MIN_EXCESS_SD = 3.0  # of a variance from the scatter of pieces above that of the Hessian: chance gives 1 in 700
-MIN_PIECES = 10.0  # for their scatter
 THE_FOLD = np.zeros(1, np.int64)  # the only fold of a memory
 
 
@@ -64,11 +52,11 @@ class Follower:
 
     def __init__(self, anchor: Anchor, time_constant_s: float) -> None:
         block_s = anchor.data.block / anchor.data.rate_hz
-        fast = max(FAST_TIME_CONSTANT_REL * time_constant_s, MIN_FAST_BLOCKS * block_s)
+        fast = max(LIMITS.fast_time_constant_rel * time_constant_s, LIMITS.min_fast_blocks * block_s)
         slow, quick = (float(np.exp(-block_s / t)) for t in (time_constant_s, fast))
         self.anchor, self.delta = anchor, np.zeros(anchor.own)
         self.slow, self.fast = Memory(keep=slow), Memory(keep=quick)
-        self.watched = Memory(keep=max(slow, float(np.exp(-1.0 / MIN_WATCHED_BLOCKS))))
+        self.watched = Memory(keep=max(slow, float(np.exp(-1.0 / LIMITS.min_watched_blocks))))
         self.shared = 0.0  # sum of the products of the weights of `slow` and `fast`
         self.fit: PathFit | None = None
         self._slope = np.zeros(0), np.zeros(0)  # of the determinant of a block, by increments and by mean tangents
@@ -108,7 +96,7 @@ class Follower:
     def solve(self) -> None:
         """Renew the estimate from the slow memory, and that memory if the recent data contradict it."""
         self._renew()
-        if self._solutions % SOLUTIONS_PER_CHECK == 0:
+        if self._solutions % LIMITS.solutions_per_check == 0:
             self._changes_in_a_row = self._changes_in_a_row + 1 if self._has_changed() else 0
             if self._changes_in_a_row >= 2:
                 self._replace()
@@ -118,11 +106,11 @@ class Follower:
         """Make the maximum on the slow memory the estimate: by one Newton step, or by several if that is long."""
         anchor = self.anchor
         gram, jacobian, blocks = problem_of(anchor, self.slow, anchor.own)
-        steps = MAX_STEPS if self.fit is None else 1
+        steps = LIMITS.max_steps if self.fit is None else 1
         fit = fit_increments(gram, jacobian, THE_FOLD, blocks, self.delta, anchor.prior, steps)
-        far = np.abs(fit.delta - self.delta) > MAX_NEWTON_SD * np.sqrt(np.diag(fit.covariance))
+        far = np.abs(fit.delta - self.delta) > LIMITS.max_newton_sd * np.sqrt(np.diag(fit.covariance))
         if steps == 1 and far.any():
-            fit = fit_increments(gram, jacobian, THE_FOLD, blocks, fit.delta, anchor.prior, MAX_STEPS)
+            fit = fit_increments(gram, jacobian, THE_FOLD, blocks, fit.delta, anchor.prior, LIMITS.max_steps)
         if anchor.prior.any():  # the covariance is without prior information
             H = slope_and_curvature(gram, jacobian, THE_FOLD, blocks, fit.delta)[2]
             fit = replace(fit, covariance=information_inverse(H))
@@ -142,10 +130,10 @@ class Follower:
         bread = fit.covariance
         out = bread * (slow.n2 / slow.n)
         count = slow.pieces2**2 / slow.pieces4 if slow.pieces4 > 0.0 else 0.0
-        if count < MIN_PIECES:
+        if count < LIMITS.min_pieces:
             return np.asarray(out)
         ratio = np.einsum("ab,bc,ca->a", bread, slow.spread, bread) / np.diag(out)
-        wider = np.where(ratio - 1.0 > MIN_EXCESS_SD * np.sqrt(2.0 / count), ratio, 1.0)
+        wider = np.where(ratio - 1.0 > LIMITS.min_excess_sd * np.sqrt(2.0 / count), ratio, 1.0)
         return np.asarray(out * np.sqrt(np.multiply.outer(wider, wider)))
 
     def excitation(self) -> Array:
@@ -181,7 +169,7 @@ class Follower:
         step = fit.covariance @ self._score(f.gram, f.n, f.tangents / f.n, S) * s.n / f.n
         spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
         variance = np.diag(fit.covariance) * s.n * max(spread, 1e-9)
-        return bool(np.any(np.abs(step) > MIN_CHANGE_SD * np.sqrt(variance)))
+        return bool(np.any(np.abs(step) > LIMITS.min_change_sd * np.sqrt(variance)))
 
     def _replace(self) -> None:
         """Replace the slow memory by the fast one, and clear that of the candidates, which has no recent one."""
@@ -195,12 +183,12 @@ class Follower:
         """Whether the values, the mean tangents of the laws or the sensor noise have moved far from the anchor."""
         if self.fit is None:
             return False
-        if self._solutions % SOLUTIONS_PER_CHECK == 1:
+        if self._solutions % LIMITS.solutions_per_check == 1:
             self._noise = renewed_noise(self.anchor, self.slow, self.delta)
-        far = np.abs(self.delta) > MAX_ANCHOR_SD * np.sqrt(np.diag(self.covariance()))
-        far |= np.abs(self.delta) * np.sqrt(self.anchor.prior) > MAX_SEARCHED_STEP
+        far = np.abs(self.delta) > LIMITS.max_anchor_sd * np.sqrt(np.diag(self.covariance()))
+        far |= np.abs(self.delta) * np.sqrt(self.anchor.prior) > LIMITS.max_searched_step
         ratio = np.abs(np.log(self.fast.level / self.fast.n / self._anchored_level))
-        return bool(self._noise or far.any() or (self.anchor.placed and (ratio > np.log(MIN_LEVEL_RATIO)).any()))
+        return bool(self._noise or far.any() or (self.anchor.placed and (ratio > np.log(LIMITS.min_level_ratio)).any()))
 
     def renew_anchor(self, data: MotionRecord) -> None:
         """Count the increments from the present values. data : the last seconds. Raises NotFiniteError."""

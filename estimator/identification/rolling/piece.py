@@ -1,4 +1,8 @@
-"""A piece of a stream as a motion record, and its sums at the anchor of a rolling fit."""
+"""A piece of a stream as a motion record, its sums at the anchor of a rolling fit, and what sums say of the spectrum.
+
+The power of the residual force in cells of frequency shows sensor noise other than that of the anchor, and a spectrum
+that no force and no noise of the model explains.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
+from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO, grid_minimum
 from estimator.likelihood.motion.denoise import DenoisingFilter
 from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.located_law import law_along_record
@@ -20,12 +25,8 @@ from estimator.model.rig import Model
 from estimator.signals.band_limit import BandLimitedMotion
 
 from .anchor import Anchor
-from .memory import Piece
-
-MIN_LEVEL = 1e-12  # of a piece
-MAX_LINE_P = 1e-9  # of a bin of noise, to be taken for a line
-LINE_REACH_SHARE = 0.3  # of S: what leaks farther from a line is neglected
-LINE_SURROUNDINGS_BINS = 41  # whose median a line stands out of: fewer than a resonance is wide
+from .memory import Memory, Piece
+from .thresholds import LIMITS
 
 
 def joined_motion(parts: Sequence[BandLimitedMotion], first: int, stop: int) -> BandLimitedMotion:
@@ -171,26 +172,96 @@ def _level(anchor: Anchor, power: Array, kept: Array) -> Array:
     force = 1.0 - anchor.whitening.noise.share
     excess = (power / anchor.S[:, None] - 1.0) * (kept > 0.0)
     level = 1.0 + (excess * force).sum(axis=1) / np.maximum((kept * force**2).sum(axis=1), 1e-300)
-    return np.asarray(np.maximum(level, MIN_LEVEL))
+    return np.asarray(np.maximum(level, LIMITS.min_level))
 
 
 def line_mask(power: Array, blocks: int) -> Array | None:
     """(bins,) 0 about narrow lines, else 1; None without any line. power : (places, bins) mean over some blocks."""
     from scipy.special import chdtri
 
-    limit = chdtri(2 * blocks, MAX_LINE_P) / chdtri(2 * blocks, 0.5)
-    if power.shape[1] < 2 * LINE_SURROUNDINGS_BINS or not np.any(
+    limit = chdtri(2 * blocks, LIMITS.max_line_p) / chdtri(2 * blocks, 0.5)
+    if power.shape[1] < 2 * LIMITS.line_surroundings_bins or not np.any(
         power > limit * np.median(power, axis=1, keepdims=True)
     ):
         return None
     from scipy.ndimage import median_filter
 
-    about = median_filter(power, size=(1, LINE_SURROUNDINGS_BINS), mode="nearest")
+    about = median_filter(power, size=(1, LIMITS.line_surroundings_bins), mode="nearest")
     ratio = (power / np.maximum(about, 1e-300)).max(axis=0)
     lines = np.flatnonzero(ratio > limit)
     if not lines.size:
         return None
     out, bins = np.ones(ratio.size), np.arange(ratio.size)
-    for k, reach in zip(lines, np.sqrt(ratio[lines] / LINE_REACH_SHARE) / np.pi + 1.0, strict=True):
+    for k, reach in zip(lines, np.sqrt(ratio[lines] / LIMITS.line_reach_share) / np.pi + 1.0, strict=True):
         out[np.abs(bins - k) <= reach] = 0.0
     return out
+
+
+def cell_power(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Array]:
+    """Power of the whitened residual force in a memory, (places, cells) N^2/Hz, and the weighted number of bins of each
+    cell, (cells,). The power is a sum over the bins and the weighted blocks. delta : (k,) increments, scaled."""
+    b, K = np.append(1.0, delta), 1 + anchor.own
+    power = np.einsum("a,ciab,b->ic", b, memory.gram[:, :, :K, :K], b)
+    return power, np.add.reduceat(memory.kept, anchor.cells)
+
+
+def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[float, float]]:
+    """For every place what the cell that stands out most has more than the model, relative, and its frequency, Hz.
+
+    0 where none stands out by more than chance, or where a force is measured. delta : (k,) increments, scaled.
+    """
+    from scipy.special import chdtr, chdtrc
+
+    if anchor.data.measured_force:
+        return [(0.0, 0.0)] * len(anchor.data.places)
+    powers, bins = cell_power(anchor, memory, delta)
+    f_hz = anchor.data.f_hz
+    middle = np.array([0.5 * (f_hz[c.start] + f_hz[c.stop - 1]) for c in anchor.cell_slices])
+    n, freedom = np.maximum(bins, 1e-300), 2.0 * bins * memory.n / memory.n2
+    ratio = powers / n / (powers.sum(axis=1, keepdims=True) / n.sum())
+    p = np.minimum(chdtr(freedom, freedom * ratio), chdtrc(freedom, freedom * ratio))
+    told = (p < LIMITS.max_colour_p) & (bins > 0.0)
+    worst = np.argmax(np.where(told, np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-300)), 0.0), axis=1)
+    at = np.arange(len(powers)), worst
+    return list(zip(np.where(told[at], ratio[at] - 1.0, 0.0).tolist(), middle[worst].tolist(), strict=True))
+
+
+def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Array] | None:
+    """nu and S, (places,) each, if the memory contradicts the sensor noise of the anchor; None otherwise.
+
+    delta : (k,) increments, scaled.
+    """
+    data = anchor.data
+    if memory.n < LIMITS.min_noise_blocks:
+        return None
+    powers, bins = cell_power(anchor, memory, delta)
+    share = np.add.reduceat(memory.kept, anchor.first)  # of the nodes
+    cell = np.searchsorted(anchor.cells, anchor.nodes, side="right") - 1
+    used = np.flatnonzero(np.bincount(cell, share, anchor.cells.size) > 0.0)
+
+    def by_cell(z: Array) -> Array:
+        """(..., cells) mean of z (..., nodes) over the nodes of each cell."""
+        weights = (cell == np.arange(anchor.cells.size)[:, None]) * share
+        return np.asarray(z @ weights[used].T / weights[used].sum(axis=1))
+
+    gain = np.abs(anchor.A) ** 2  # (nodes, places, places)
+    shape, W = data.noise_shape[:, anchor.nodes], anchor.whitening.weight[:, anchor.nodes]
+    own = np.einsum("kii->ik", gain) * shape
+    known = data.excitation_shape[:, anchor.nodes] - own * anchor.nu[:, None]
+    known += np.einsum("kil,lk->ik", gain, shape * (anchor.nu * anchor.S)[:, None]) / anchor.S[:, None]
+    n, nu, S, gained = bins[used], anchor.nu.copy(), anchor.S.copy(), 0.0
+    for i, z in enumerate(powers[:, used]):
+        grid = np.concatenate([[0.0], np.geomspace(MIN_NOISE_RATIO, 1e3, LIMITS.noise_grid_points) / own[i].mean()])
+
+        def fit(ratio: Array, i: int = i, z: Array = z) -> tuple[Array, Array]:
+            """Nats below the maximum and S at noise ratios."""
+            psd = by_cell(W[i] * (known[i] + ratio[:, None] * own[i]))
+            level = (z / psd).sum(axis=1) / n.sum()
+            return n.sum() * np.log(level) + np.log(psd) @ n, level
+
+        cost, _ = fit(grid)
+        best = grid_minimum(grid, cost)
+        ends, levels = fit(np.array([anchor.nu[i], best]))
+        nu[i], S[i] = best, levels[1]
+        gained = max(gained, float(ends[0] - ends[1]))
+    return (nu, S) if gained > LIMITS.min_noise_gain_nats else None

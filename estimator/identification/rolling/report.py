@@ -12,10 +12,9 @@ from estimator.results import Parameter, is_of_place, with_unidentifiable_at
 
 from .follower import Follower
 from .start import FirstFit
+from .thresholds import LIMITS
 
 LOST_LAW = "its force is not distinguishable from zero in this record"
-MIN_COLOUR_REL = 0.05  # of the power of the residual force in a cell of frequency, from which it matters to a number
-MAX_COLOUR_RATIO = 2.0  # of that power to the mean of all cells or its inverse, up to which they are shown
 
 
 def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Parameter]:
@@ -47,16 +46,16 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
 
 def is_coloured(follower: Follower) -> bool:
     """Whether the spectrum of the residual force at a place is not that of the model."""
-    return any(abs(own) >= MIN_COLOUR_REL for own, _ in follower.excess_power())
+    return any(abs(own) >= LIMITS.min_colour_rel for own, _ in follower.excess_power())
 
 
 def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: float) -> dict[str, Parameter]:
     """The parameters where the spectrum of the residual force at a place is not that of the model: with the reason, or
     without a number. excess : its power near `hz` over that of the model, less 1."""
-    if abs(excess) < MIN_COLOUR_REL:
+    if abs(excess) < LIMITS.min_colour_rel:
         return found
     reason = f"the residual force is not white, {100 * excess:+.0f} % near {hz:.0f} Hz: rotorscope diagnose says why"
-    if not 1.0 / MAX_COLOUR_RATIO < 1.0 + excess < MAX_COLOUR_RATIO:
+    if not 1.0 / LIMITS.max_colour_ratio < 1.0 + excess < LIMITS.max_colour_ratio:
         given = {name: p for name, p in found.items() if p.sd == 0.0}
         return with_unidentifiable_at([place], reason, found) | given
     fitted = {name: p for name, p in found.items() if p.identifiable and p.sd and is_of_place(name, place)}

@@ -22,10 +22,11 @@ from estimator.model.rig import CAP_DIRECTIONS, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY
 
+from .thresholds import LIMITS
+
 FIT_HINT = "rotorscope fit has its numbers"
 CLIPPED_REASON = "its sensor is clipped: what that took away is missing from the motion"
 BREATHING_SHAFT_REASON = f"beside a shaft that breathes: {FIT_HINT}"
-MIN_CRACK_STIFFNESS_REL = 1e-3  # of the stiffness at a place: a weaker crack does not bias it
 EVEN_LAW_REASON = f"an accelerometer does not show the slow displacement that a law makes here: {FIT_HINT}"
 WRITE_HINT = "rotorscope fit --out writes what it finds"
 
@@ -124,7 +125,7 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
     kL = model.linear.get(place, {}).get("kL", Setting()).value
     if not values or None in values or not kL:
         return disc_of(model) is not None
-    return 0.5 * sum(abs(v or 0.0) for v in values) > MIN_CRACK_STIFFNESS_REL * kL
+    return 0.5 * sum(abs(v or 0.0) for v in values) > LIMITS.min_crack_stiffness_rel * kL
 
 
 def _is_undone_as_given(effect: Effect) -> bool:

@@ -20,10 +20,7 @@ from estimator.results import Parameter
 from estimator.signals.channel_response import corrected_record
 from estimator.signals.shaft_angle import with_measured_speed
 
-START_BLOCKS = 24  # at least, in the first fit
-MIN_CORRELATION_TIMES = 10.0  # that the first seconds have to hold
-MAX_KNOWN_LINES_SHARE = 0.5  # of the band, that the lines of the model's own periodic forces may take
-LINE_WIDTH_BINS = 5.0  # that a line of known frequency takes
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +63,14 @@ def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
     None are added with a tacho, as they move with the speed, nor where they would take half of the band.
     """
     low, high = model.band
-    known = [hz for hz in known_lines(lines) if low - LINE_WIDTH_BINS * bin_hz < hz < high + LINE_WIDTH_BINS * bin_hz]
-    if model.tacho is not None or LINE_WIDTH_BINS * bin_hz * len(known) > MAX_KNOWN_LINES_SHARE * (high - low):
+    known = [
+        hz
+        for hz in known_lines(lines)
+        if low - LIMITS.line_width_bins * bin_hz < hz < high + LIMITS.line_width_bins * bin_hz
+    ]
+    if model.tacho is not None or LIMITS.line_width_bins * bin_hz * len(known) > LIMITS.max_known_lines_share * (
+        high - low
+    ):
         return model
     new = [hz for hz in known if not any(b.low_hz <= hz <= b.high_hz for b in model.line_bands)]
     bands = (*model.line_bands, *(LineBand(low_hz=hz, high_hz=hz, power_over_psd_hz=0.0) for hz in new))
@@ -82,8 +85,9 @@ def _check(point: WorkingPoint) -> None:
         m, damping = float(data.mass[i]), float(c[i])
         if not data.measured_force:
             refuse_without_resonance(place, m, max(damping, 0.0), float(k[i]), data.band)
-        if damping > 0.0 and data.seconds < MIN_CORRELATION_TIMES * 2 * m / damping:
+        needed_s = LIMITS.min_correlation_times * 2 * m / damping if damping > 0.0 else 0.0
+        if data.seconds < needed_s:
             raise DataError(
                 f"the record ({data.seconds:.2f} s valid) is shorter than ten correlation times of {place} "
-                f"({2 * m / damping:.2g} s each): record at least {MIN_CORRELATION_TIMES * 2 * m / damping:.1f} s"
+                f"({2 * m / damping:.2g} s each): record at least {needed_s:.1f} s"
             )

@@ -20,14 +20,12 @@ from estimator.model.rig import EffectUse, Model
 from estimator.results import MISSING_FORCE_KEY
 
 from .follower import THE_FOLD, Follower, problem_of
+from .thresholds import LIMITS
 
 # one effect of each kind of state dependence, nonlinear parameters at their defaults
 DEFAULT_CANDIDATES = tuple(name for name, e in CATALOGUE.items() if e.watched)
 # have a frequency or a time scale to be searched
 UNWATCHABLE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.state == "time")
-MAX_FALSE_ALARM_P = 1e-6  # per look and candidate
-MIN_BLOCKS = 4.0  # of the memory with the candidates
-MIN_EIGENVALUE_REL = 1e-5  # of the information: along smaller ones single precision says nothing
 
 
 def watchable_effects() -> tuple[str, ...]:
@@ -66,7 +64,7 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
 
     anchor, memory = follower.anchor, follower.watched
     own, every = anchor.own, len(anchor.names)
-    if own == every or memory.n < MIN_BLOCKS:
+    if own == every or memory.n < LIMITS.min_watch_blocks:
         return None
     wide, jacobian, blocks = problem_of(anchor, memory, every)
     delta = np.concatenate([follower.delta, np.zeros(every - own)])
@@ -96,7 +94,7 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
     for effect in dict.fromkeys(names.tolist()):
         members = np.flatnonzero(names == effect)
         statistic, share = explained(members)
-        if statistic > chdtri(members.size, MAX_FALSE_ALARM_P):
+        if statistic > chdtri(members.size, LIMITS.max_false_alarm_p):
             certain[effect] = 100.0 * float(np.sqrt(share))
     together = np.flatnonzero(np.isin(names, list(certain)))  # alone, many other candidates cost no power
     total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(names.size), together) if m.size)))
@@ -107,5 +105,5 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
 def _pseudo_inverse(H: Array) -> Array:
     """Pseudo-inverse of a symmetric matrix with a diagonal of at most 1; zero along what the data leave free."""
     w, V = np.linalg.eigh(H)
-    keep = w > MIN_EIGENVALUE_REL * max(float(w.max()), 1.0)
+    keep = w > LIMITS.min_eigenvalue_rel * max(float(w.max()), 1.0)
     return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)

@@ -32,29 +32,18 @@ from estimator.likelihood.motion.shaft_law import without_shaft_orders
 from estimator.likelihood.path.excitation_level import levels_agree, relative_level
 from estimator.likelihood.path.working_point import WorkingPoint, point_at
 from estimator.likelihood.response.below_band import with_below_band_motion
+from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import out_of_band_sd
 
 from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
 
-FIRST_PART_S = 8.0  # part of a long record that the first rounds fit
-PART_GROWTH = 3.0  # length of a part over that of the part before
-MAX_ROUNDS, MAX_LAST_ROUNDS = 6, 3  # of steps: on the first part, and on the whole record after it
-NOISE_TOLERANCE_REL = 0.3  # of the sensor noise between steps: neighbours on the grid of its search
-MIN_STIFFNESS_SHARE = 0.3  # of a stiffness after a step over that before it, where the force is measured
-MAX_MASS_FACTOR = 2.0  # of a fitted mass in one step
-MAX_LAST_STEP_SD = 0.3  # last step of a fit, standard deviations; the remaining error is a tenth of it or less
-MAX_PART_STEP_SD = 0.5  # last step on a part of a record, standard deviations
 START_BLOCKS = 40  # number of blocks for the start values
-START_DAMPING_RATIOS = 0.001, 1.0, 40  # of critical, least and largest that are tried at the start, and how many
-SPECTRUM_BLOCKS = 80  # number of blocks for the spectrum of the motion
-LEFT_OUT_TOLERANCE_REL = 0.05  # of the motion outside the band, between steps
-MAX_STILL_STEP_SD = 1.0  # step below which the below-band displacement is kept, standard deviations
 
 
 def fit_model(
-    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = MAX_ROUNDS,
-    moving: float = MAX_LAST_STEP_SD,
+    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = LIMITS.max_rounds,
+    moving: float = LIMITS.max_last_step_sd,
 ) -> WorkingPoint:  # fmt: skip
     """The working point of kL, c, S and every free parameter of the laws, fitted to a record.
 
@@ -64,12 +53,12 @@ def fit_model(
     data = without_shaft_orders(data, [use.effect for use in uses])
     if start is None:
         start = _fit_of_parts(data, uses, rounds)
-        uses, rounds = (uses, rounds) if start is None else (list(start.placed), MAX_LAST_ROUNDS)
+        uses, rounds = (uses, rounds) if start is None else (list(start.placed), LIMITS.max_last_rounds)
     data, kL, c, nu, S = _start_values(data, uses, start)
     del start  # frees its spectra
     moved = np.full(1, np.inf)
     while True:
-        data = data if moved.max(initial=0.0) < MAX_STILL_STEP_SD else with_below_band_motion(data, kL, c, uses)
+        data = data if moved.max(initial=0.0) < LIMITS.max_still_step_sd else with_below_band_motion(data, kL, c, uses)
         point = point_at(data, kL, c, nu, S, uses)
         S = point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
@@ -78,7 +67,10 @@ def fit_model(
         mass = _stepped_mass(point)
         nu_old, (nu, weight) = nu, sensor_noise_ratio(point)
         settled = np.allclose(
-            nu * weight, nu_old * weight, rtol=NOISE_TOLERANCE_REL, atol=NOISE_TOLERANCE_REL * MIN_NOISE_RATIO
+            nu * weight,
+            nu_old * weight,
+            rtol=LIMITS.noise_tolerance_rel,
+            atol=LIMITS.noise_tolerance_rel * MIN_NOISE_RATIO,
         )
         data, settled = _renewed_record(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
@@ -115,7 +107,7 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
     data = point.data
     data = data if settled else _denoised(data, nu, point.S)
     outside = _out_of_band_sd(point)
-    if not np.allclose(outside, data.out_of_band_sd, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
+    if not np.allclose(outside, data.out_of_band_sd, rtol=LIMITS.left_out_tolerance_rel, atol=0.0):
         data, settled = replace(data, out_of_band_sd=outside), False
     level = _excitation_level(point)
     if not levels_agree(level, data.level):
@@ -123,17 +115,17 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
     return data, settled
 
 
-def _fit_of_parts(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_ROUNDS) -> WorkingPoint | None:
+def _fit_of_parts(data: MotionRecord, uses: list[LocatedLaw], rounds: int = LIMITS.max_rounds) -> WorkingPoint | None:
     """The fit of a part of a long record; None for a short record.
 
     Where laws with memory make a step expensive, longer parts follow by one step each.
     """
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
     dear = any(has_nonlinear_memory(u, lin[u.at[0]]) for u in uses)
-    start, seconds = None, FIRST_PART_S
+    start, seconds = None, LIMITS.first_part_s
     while (start is None or dear) and (part := leading_blocks(data, seconds)) is not data:
-        start = fit_model(part, uses, start, rounds if start is None else 0, MAX_PART_STEP_SD)
-        uses, seconds = list(start.placed), PART_GROWTH * seconds
+        start = fit_model(part, uses, start, rounds if start is None else 0, LIMITS.max_part_step_sd)
+        uses, seconds = list(start.placed), LIMITS.part_growth * seconds
     return start
 
 
@@ -161,7 +153,7 @@ def _first_linear_values(
         if data.measured_force_psd[i] > 0.0:
             damping = np.array([-np.vdot(v, force).real / np.vdot(v, v).real])
         else:
-            damping = 2 * np.geomspace(*START_DAMPING_RATIOS) * np.sqrt(max(kL[i], 0.0) * data.mass[i])
+            damping = 2 * np.geomspace(*LIMITS.start_damping_ratios) * np.sqrt(max(kL[i], 0.0) * data.mass[i])
         damping = damping if background is None else np.array([background.damping])
         damping = np.array([data.held[f"{place}.c"]]) if f"{place}.c" in data.held else damping
         Q = np.mean(np.abs(force) ** 2) + damping * (2 * np.vdot(v, force).real + damping * np.vdot(v, v).real) / x.size
@@ -192,7 +184,7 @@ def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, li
     step = dict(zip(point.fit.names, step_within_limits(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
     least = np.where(
-        point.data.measured_force_psd > 0.0, MIN_STIFFNESS_SHARE * kL, -np.inf
+        point.data.measured_force_psd > 0.0, LIMITS.min_stiffness_share * kL, -np.inf
     )  # a known force forgives no step too far
     kL = np.maximum(kL + np.array([step.get(f"{p}.kL", 0.0) for p in places]), least)
     c = c + np.array([step.get(f"{p}.c", 0.0) for p in places])
@@ -206,11 +198,11 @@ def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, li
 
 
 def _stepped_mass(point: WorkingPoint) -> Array:
-    """(places,) kg, masses after the step of the fit; a mass grows or shrinks by MAX_MASS_FACTOR at most."""
+    """(places,) kg, masses after the step of the fit; a mass grows or shrinks by max_mass_factor at most."""
     mass, names = point.data.mass.copy(), point.fit.names
     for i in point.data.free_inertia:
         step = point.fit.value(f"{point.data.places[i]}.m")[0] if f"{point.data.places[i]}.m" in names else 0.0
-        mass[i] = np.clip(mass[i] + step, mass[i] / MAX_MASS_FACTOR, mass[i] * MAX_MASS_FACTOR)
+        mass[i] = np.clip(mass[i] + step, mass[i] / LIMITS.max_mass_factor, mass[i] * LIMITS.max_mass_factor)
     return mass
 
 
@@ -315,5 +307,5 @@ def record_denoising_filter(data: MotionRecord, nu: Array, S: Array) -> Denoisin
 
 def _displacement_psd(data: MotionRecord, bins: NDArray[np.int64]) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, from some of the blocks."""
-    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // SPECTRUM_BLOCKS)]
+    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LIMITS.spectrum_blocks)]
     return np.array([mean_psd(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

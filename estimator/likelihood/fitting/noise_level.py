@@ -6,10 +6,10 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.thresholds import LIMITS
 from estimator.likelihood.whitening.sensor_noise import referred_psd
 from estimator.parallel import map_threads
 
-MIN_SHAPE_REL = 1e-12  # of the spectrum over its maximum: rounding of what falls steeply towards the edge of the band
 MIN_NOISE_RATIO = 1e-4  # sensor noise referred to force over S, least that is searched
 
 
@@ -22,7 +22,7 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
     own = data.noise_referred_to_force(point.A)
     noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
     known = data.excitation_shape + noise - point.nu[:, None] * own
-    known = np.maximum(known, MIN_SHAPE_REL * known.max(axis=1, keepdims=True))
+    known = np.maximum(known, LIMITS.min_shape_rel * known.max(axis=1, keepdims=True))
     weight = own.mean(axis=1)
 
     def at(i: int) -> float:

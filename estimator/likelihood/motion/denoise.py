@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
+from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import noise_shape
 
 from .linear_memory import filtered_series
-
-MAX_NOISE_POWER_SHARE = 5e-4  # of the displacement; noise below it biases a cubic by at most twice as much
-SMOOTHING_BINS = 7  # over which the spectrum of the motion is smooth
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +62,7 @@ def noise_displacement_psd(kinds: Sequence[str], f_hz: Array, noise: Array) -> A
 
 def noise_is_negligible(f_hz: Array, e: Array, x2: Array) -> bool:
     """Whether noise e, (places, f) m^2/Hz, is small against the mean square displacement x2, (places,) m^2."""
-    return bool((e @ np.gradient(f_hz) <= MAX_NOISE_POWER_SHARE * x2).all())
+    return bool((e @ np.gradient(f_hz) <= LIMITS.max_noise_power_share * x2).all())
 
 
 def denoising_filter(f_hz: Array, seen: Array, e: Array) -> DenoisingFilter:
@@ -95,5 +93,5 @@ def restore_mean_tangent(
 
 def _smooth(power: Array) -> Array:
     """Means of WIDTH neighbours, (places, f)."""
-    count = np.convolve(np.ones(power.shape[1]), np.ones(SMOOTHING_BINS), "same")
-    return np.array([np.convolve(z, np.ones(SMOOTHING_BINS), "same") / count for z in power])
+    count = np.convolve(np.ones(power.shape[1]), np.ones(LIMITS.smoothing_bins), "same")
+    return np.array([np.convolve(z, np.ones(LIMITS.smoothing_bins), "same") / count for z in power])

@@ -22,16 +22,14 @@ from estimator.effects import NAMED
 from estimator.effects.engine.law_loop import force_array
 from estimator.effects.places import at, kinematic, values, written
 from estimator.errors import ModelError
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 from estimator.model.rig import Model, Setting
 from estimator.model.rotor import rotor_of
 from estimator.signals.band_limit import passband
 
 PERIODIC_EFFECTS = tuple(name for name, effect in NAMED.items() if effect.found_by == "harmonics")
-POINTS_PER_TURN = 1 << 14
 NOT_IDENTIFIABLE_TEXT = "not distinguishable from zero in this record"
-MIN_BAND_GAIN = 1e-4  # gain of the band filter below which a harmonic is neglected
-MAX_HARMONICS = 399
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,23 +65,26 @@ class PeriodicEffect:
     def _of_law(self, direction: str, count: int, p: Array | None) -> Complexes:
         """(count,) N, harmonics of the force of the law in a direction where it acts."""
         p = self.p if p is None else p
-        theta = 2 * np.pi * (np.arange(POINTS_PER_TURN) + 0.5) / POINTS_PER_TURN
+        theta = 2 * np.pi * (np.arange(LIMITS.points_per_turn) + 0.5) / LIMITS.points_per_turn
         f = frequency_index(self.effect)
         own = p.copy()
         if f is not None:
             own[f] = 1.0  # the law over one turn does not depend on it
         t = theta / (2 * np.pi)
         law = force_array(
-            self.effect, own, np.zeros(POINTS_PER_TURN), t=t, phase=theta, s=1.0 if direction == "x" else -1.0
+            self.effect, own, np.zeros(LIMITS.points_per_turn), t=t, phase=theta, s=1.0 if direction == "x" else -1.0
         )
         k = np.arange(1.0, count + 1)
         return np.asarray(
-            -2.0 / POINTS_PER_TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / POINTS_PER_TURN)
+            -2.0
+            / LIMITS.points_per_turn
+            * np.fft.rfft(law)[1 : count + 1]
+            * np.exp(-0.5j * k * 2 * np.pi / LIMITS.points_per_turn)
         )
 
     def highest(self, band: tuple[float, float]) -> int:
         """Highest order of its angle below the upper edge of a band, Hz."""
-        return int(min(band[1] / self.hz, POINTS_PER_TURN // 8))
+        return int(min(band[1] / self.hz, LIMITS.points_per_turn // 8))
 
     def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
         """The orders that its law has in a band, Hz."""
@@ -131,7 +132,7 @@ def known_lines(model: Model) -> list[float]:
     """Hz of the lines that the model's own effects make, whether their strength is known or not."""
     out: dict[float, None] = {}
     for effect, hz in _fundamentals(model):
-        orders = 1 + np.flatnonzero(present_harmonics(effect, MAX_HARMONICS))
+        orders = 1 + np.flatnonzero(present_harmonics(effect, LIMITS.max_harmonics))
         out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
     return list(out)
 
@@ -182,7 +183,7 @@ class PeriodicForce:
     """Force of a periodic effect per unit of one amplitude, at the places where the effect acts.
 
     name : of the amplitude, "bearing1.x.line.a"; empty for the whole force. unit : of the amplitude. one : the effect.
-    tables : by place index, (POINTS_PER_TURN + 1,) N per unit over a turn of the angle, in the band.
+    tables : by place index, (points_per_turn + 1,) N per unit over a turn of the angle, in the band.
     """
 
     name: str
@@ -227,9 +228,7 @@ def periodic_amplitudes(model: Model, places: tuple[str, ...], rate_hz: float) -
                 p[k] = 1.0
                 tables = _tables(model, replace(one, p=p), places, rate_hz)
                 name = f"{one.key}.{one.effect.name}.{q.name}"
-                out.append(
-                    PeriodicForce(name=name, unit=q.unit, one=one, tables=tables)
-                )
+                out.append(PeriodicForce(name=name, unit=q.unit, one=one, tables=tables))
     return tuple(out)
 
 
@@ -249,27 +248,23 @@ def periodic_series(model: Model, places: tuple[str, ...], t: Array, phase: Arra
 def periodic_forces(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
     """Forces of the model's periodic effects in the band, all amplitudes of an effect together."""
     made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_effects(model)]
-    return tuple(
-        PeriodicForce(name="", unit="N", one=one, tables=tables)
-        for one, tables in made
-        if tables
-    )
+    return tuple(PeriodicForce(name="", unit="N", one=one, tables=tables) for one, tables in made if tables)
 
 
 def _turned(harmonics: Complexes) -> Array:
-    """(POINTS_PER_TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
-    spectrum = np.zeros(POINTS_PER_TURN // 2 + 1, complex)
-    spectrum[1 : harmonics.size + 1] = 0.5 * POINTS_PER_TURN * harmonics
-    wave = np.fft.irfft(spectrum, POINTS_PER_TURN)
+    """(points_per_turn + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
+    spectrum = np.zeros(LIMITS.points_per_turn // 2 + 1, complex)
+    spectrum[1 : harmonics.size + 1] = 0.5 * LIMITS.points_per_turn * harmonics
+    wave = np.fft.irfft(spectrum, LIMITS.points_per_turn)
     return np.append(wave, wave[0])
 
 
 def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
-    """(POINTS_PER_TURN + 1,) N in the band over a turn, by index of the places where the effect acts."""
-    count = int(min(0.5 * rate_hz / one.hz, POINTS_PER_TURN // 8))
+    """(points_per_turn + 1,) N in the band over a turn, by index of the places where the effect acts."""
+    count = int(min(0.5 * rate_hz / one.hz, LIMITS.points_per_turn // 8))
     gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
     tables: dict[int, Array] = {}
-    if not ((gain > MIN_BAND_GAIN) & one.sounding(count)).any():
+    if not ((gain > LIMITS.min_band_gain) & one.sounding(count)).any():
         return tables
     for i, place in enumerate(places):
         if acts_on(one, place):

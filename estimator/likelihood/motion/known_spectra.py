@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.rig import Model, Setting
 from estimator.model.rotor import rotor_matrices
 from estimator.signals.channel_response import channel_response, measured_force_places
@@ -16,7 +17,6 @@ from .force_balance import shaft_notches
 # effects that shape a spectrum: of the force, or of the motion where the record is not corrected; the former alone
 SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None)
 FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind == "excitation")
-LINE_LOBE_BINS = 2.0  # half width of the main lobe of a block without a window, and one bin more
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -31,7 +31,7 @@ def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArra
 def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
     """Indices of the bins of a block spectrum that are fitted: the band without lines and sharp modes of the shaft."""
     f = np.fft.rfftfreq(block, 1 / rate_hz)
-    lobe = LINE_LOBE_BINS * rate_hz / block
+    lobe = LIMITS.line_lobe_bins * rate_hz / block
     inside = (f >= model.band[0]) & (f <= model.band[1])
     for low, high in shaft_notches(model):
         inside &= (f < low) | (f > high)

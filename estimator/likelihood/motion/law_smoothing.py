@@ -6,7 +6,7 @@ point Gauss-Hermite rule gives both: nodes at -h, 0, +h with h = sqrt(3) sd(e), 
 is the central difference over the same nodes (Stein's identity), so a jump such as sgn(v) gets its density term.
 
 A law with a jump or a kink has harmonics above the Nyquist frequency. Sampled, they would alias into the band. Such a
-law is evaluated on a grid finer by `FINE_GRID_FACTOR`, and its force is low-pass filtered and decimated. The same is
+law is evaluated on a grid finer by `law_grid_factor`, and its force is low-pass filtered and decimated. The same is
 done for a smooth law at a resonance so high that its few harmonics alias.
 """
 
@@ -21,15 +21,10 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
 from estimator.effects.engine.law_loop import Signals, compiled, force_array, law_of, smoothed
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 from estimator.signals import low_pass
 
-MIN_SMOOTHING_SD = 0.02  # least half-width over the state's sd: a jump needs some width to have a tangent
-FINE_GRID_FACTOR = 4  # rate of the fine grid over the sampling rate
-MAX_HARMONIC = 9  # highest harmonic of a smooth law that is checked for aliasing
-MIN_HARMONIC_REL = 0.02  # of the fundamental, from which a harmonic of a law counts
-ORBIT_SIZES_SD = (1.3, 2.6, 4.1)  # amplitudes over the state's rms at which a law is tried
-FREQUENCY_SPREAD = 1.1  # highest strong frequency of a motion over its mean frequency
 HALF_SUPPORT_ROWS = 12  # of the interpolation, rows of the coarse grid
 MARGIN_ROWS = 2 * HALF_SUPPORT_ROWS  # rows needed on either side of the result
 
@@ -131,19 +126,19 @@ class LawStates:
 
     def finer(self, reads: NDArray[np.bool_]) -> LawStates:
         """The states on the fine grid, HALF_SUPPORT_ROWS (coarse) wider than the inner rows; 0 for what is not read."""
-        n = (self.x.size - 2 * HALF_SUPPORT_ROWS) * FINE_GRID_FACTOR
+        n = (self.x.size - 2 * HALF_SUPPORT_ROWS) * LIMITS.law_grid_factor
         zero = np.zeros(n)
 
         def linear(z: Series) -> Array:
             out = np.empty(n)
-            _between(z[HALF_SUPPORT_ROWS : n // FINE_GRID_FACTOR + HALF_SUPPORT_ROWS + 1], out)
+            _between(z[HALF_SUPPORT_ROWS : n // LIMITS.law_grid_factor + HALF_SUPPORT_ROWS + 1], out)
             return out
 
         x, v, xo, vo = (
             interpolated(z) if u else zero for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
         )
-        valid = np.repeat(self.valid[HALF_SUPPORT_ROWS:-HALF_SUPPORT_ROWS], FINE_GRID_FACTOR)
-        valid[: HALF_SUPPORT_ROWS * FINE_GRID_FACTOR] = valid[-HALF_SUPPORT_ROWS * FINE_GRID_FACTOR :] = (
+        valid = np.repeat(self.valid[HALF_SUPPORT_ROWS:-HALF_SUPPORT_ROWS], LIMITS.law_grid_factor)
+        valid[: HALF_SUPPORT_ROWS * LIMITS.law_grid_factor] = valid[-HALF_SUPPORT_ROWS * LIMITS.law_grid_factor :] = (
             False  # the margins do not count in the mean tangents
         )
         return LawStates(
@@ -183,15 +178,15 @@ def harmonics_alias(effect: Effect, p: Array, scale: Array, folding_hz: float) -
     """
     x, v = scale[::2], scale[1::2]
     moving = x > 0.0
-    hz = FREQUENCY_SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
-    return MAX_HARMONIC * hz > folding_hz and highest_harmonic(effect, p, scale) * hz > folding_hz
+    hz = LIMITS.frequency_spread * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
+    return LIMITS.max_harmonic * hz > folding_hz and highest_harmonic(effect, p, scale) * hz > folding_hz
 
 
 def highest_harmonic(effect: Effect, p: Array, scale: Array) -> int:
-    """Highest harmonic of the force along an orbit of 2.6 standard deviations, at most `MAX_HARMONIC`."""
+    """Highest harmonic of the force along an orbit of 2.6 standard deviations, at most `max_harmonic`."""
     x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
-    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : MAX_HARMONIC + 1]
-    return 1 + int(np.flatnonzero(size > MIN_HARMONIC_REL * size.max(initial=0.0)).max(initial=0))
+    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : LIMITS.max_harmonic + 1]
+    return 1 + int(np.flatnonzero(size > LIMITS.min_harmonic_rel * size.max(initial=0.0)).max(initial=0))
 
 
 def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
@@ -211,7 +206,9 @@ def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
 def _orbits(n: int) -> tuple[Array, Array]:
     """Angles of the orbits in n steps each, rad, and (4, ...) x, v, xo, vo along them over their rms."""
     at = np.linspace(0.0, 2 * np.pi, n)
-    return np.tile(at, len(ORBIT_SIZES_SD)), np.concatenate([size * _orbit(at) for size in ORBIT_SIZES_SD], axis=1)
+    return np.tile(at, len(LIMITS.orbit_sizes_sd)), np.concatenate(
+        [size * _orbit(at) for size in LIMITS.orbit_sizes_sd], axis=1
+    )
 
 
 def _orbit(at: Array) -> Array:
@@ -247,14 +244,14 @@ def compile_law(effect: Effect, p: Array) -> None:
     compiled(law_of(effect, p))
 
 
-def interpolated(z: Series, finer: int = FINE_GRID_FACTOR) -> Array:
+def interpolated(z: Series, finer: int = LIMITS.law_grid_factor) -> Array:
     """A signal (n,) on the fine grid, without HALF_SUPPORT_ROWS (coarse) rows on either side."""
     out = np.empty((z.size - 2 * HALF_SUPPORT_ROWS) * finer)
     _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
     return out
 
 
-def decimated(force: Array, finer: int = FINE_GRID_FACTOR) -> Array:
+def decimated(force: Array, finer: int = LIMITS.law_grid_factor) -> Array:
     """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
     out = np.empty(force.size // finer - 2 * HALF_SUPPORT_ROWS)
     _decimate(force, _prototype(finer)[1], finer, out)

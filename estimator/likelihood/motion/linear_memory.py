@@ -7,11 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from estimator.arrays import Array, Complexes
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
-
-MIN_RAD_S = 1e-3  # a state that only integrates has no response at rest
-MAX_MODE_CONDITION = 1e6  # condition of the modal matrix up to which the response is summed mode by mode
-DERIVATIVE_STEP_REL = 1e-3  # of a stiffness or damping, for derivatives of the response
 
 
 def state_matrix(effect: Effect, p: Array, lin: Array) -> Array | None:
@@ -46,10 +43,10 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
     own, reads = M[:n, :n], M[n]
 
     rates_at, modes = np.linalg.eig(own)
-    apart = n > 0 and np.linalg.cond(modes) < MAX_MODE_CONDITION
+    apart = n > 0 and np.linalg.cond(modes) < LIMITS.max_mode_condition
 
     def transfer(w: Array) -> Complexes:
-        iw = 1j * np.maximum(w, MIN_RAD_S)
+        iw = 1j * np.maximum(w, LIMITS.min_rad_s)
         if apart:  # a sum over the modes: many times faster than to solve at every frequency
             by_mode = (reads[:n] @ modes) * np.linalg.solve(modes, M[:n, n:]).T
             through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
@@ -66,7 +63,7 @@ def response_derivative(effect: Effect, p: Array, lin: Array, which: int) -> Cal
 
     None if the law is not linear, or its response does not depend on the parameter.
     """
-    step = DERIVATIVE_STEP_REL * np.eye(3)[which] * abs(lin[which])
+    step = LIMITS.derivative_step_rel * np.eye(3)[which] * abs(lin[which])
     up, down = linear_response(effect, p, lin + step), linear_response(effect, p, lin - step)
     if up is None or down is None or not step.any():
         return None

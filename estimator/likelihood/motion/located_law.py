@@ -15,22 +15,14 @@ from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import Size
 from estimator.effects.places import at, kinematic, written
 from estimator.errors import LawNotFiniteError
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model
 
 from . import linear_memory, shaft_law
 from .denoise import restore_mean_tangent
 from .harmonics import PERIODIC_EFFECTS
-from .law_smoothing import (
-    FINE_GRID_FACTOR,
-    MARGIN_ROWS,
-    LawStates,
-    decimated,
-    harmonics_alias,
-    has_jump,
-    law_force,
-    reads_states,
-)
+from .law_smoothing import MARGIN_ROWS, LawStates, decimated, harmonics_alias, has_jump, law_force, reads_states
 from .memory_law import memory_force_and_response
 from .motion_record import TIME_FOLDS, MotionRecord
 
@@ -111,8 +103,6 @@ def trial_effects(model: Model) -> list[Effect]:
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
 
 
-ROWS_PER_PIECE = 1 << 15  # rows evaluated at a time: they stay in the cache
-MAX_FORCE_N = 1e12  # more is divergence, and has no square in single precision
 LawAlongPath = tuple[Array, Array, NDArray[np.complex128] | None]
 
 
@@ -190,7 +180,6 @@ def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bo
     return _character(effect, p, data.sizes(i), data.rate_hz - data.band[1])[1]
 
 
-_CHARACTERS_HELD = 1024  # at most, in the memory of `_character`
 _characters: dict[tuple[int, bytes, bytes, float], tuple[Effect, NDArray[np.bool_], bool]] = {}
 
 
@@ -203,7 +192,7 @@ def _character(effect: Effect, p: Array, size: Array, folding_hz: float) -> tupl
     if (known := _characters.get(key)) is None:
         reads = reads_states(effect, p, np.maximum(size, 1e-300))
         sharp = has_jump(effect, p, size) or harmonics_alias(effect, p, size, folding_hz)
-        if len(_characters) >= _CHARACTERS_HELD:
+        if len(_characters) >= LIMITS.characters_held:
             _characters.clear()
         known = _characters[key] = effect, reads, sharp  # holds the effect, so that its id stays its own
     return known[1:]
@@ -231,12 +220,12 @@ def _along(
         state = LawStates(x=x, v=v, xo=xo, vo=vo, t=t, phase=phase, s=data.sign(i), h=data.smoothing(i), valid=valid)
         if sharp:
             force, part = law_force(effect, p, state.finer(reads), reads)
-            out[a:b], part = decimated(force), part / FINE_GRID_FACTOR
+            out[a:b], part = decimated(force), part / LIMITS.law_grid_factor
         else:
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums[f] += part
-    if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < MAX_FORCE_N):
+    if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < LIMITS.max_force_n):
         raise LawNotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(fold_rows, 1)[:, None]
     if data.denoise_correction is not None:
@@ -248,8 +237,8 @@ def _along(
 def _pieces(fold_rows: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
     """Pieces of a record with so many rows in each time fold: time fold, first row, row after the last."""
     for f, (rows, end) in enumerate(zip(fold_rows.tolist(), np.cumsum(fold_rows).tolist(), strict=True)):
-        for a in range(end - rows, end, ROWS_PER_PIECE):
-            yield f, a, min(a + ROWS_PER_PIECE, end)
+        for a in range(end - rows, end, LIMITS.law_rows_per_piece):
+            yield f, a, min(a + LIMITS.law_rows_per_piece, end)
 
 
 def tangent_series(placed: LocatedLaw, data: MotionRecord, i: int, p: Array) -> Series:

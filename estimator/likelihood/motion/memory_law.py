@@ -21,16 +21,10 @@ from numba import njit
 
 from estimator.arrays import Array, Complexes, Series
 from estimator.effects.engine.memory_loop import LinearisedMemory, force_along_path, reads_motion
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 
 from .law_smoothing import MARGIN_ROWS, decimated, interpolated
-
-FINE_GRID_FACTOR = 2  # rate of the grid for the states over the sampling rate
-ROWS_PER_PIECE = 1 << 13  # rows linearised at a time: they stay in the cache
-MAX_PIECE_STRIDE, MIN_PIECES = 3, 40  # steps are launched in every so manyth piece, in at least so many pieces
-MEMORY_CYCLES = 8.0  # of the motion, after which the response to a step has settled
-STEPS_PER_CYCLE = 2.6  # launched, at changing phases of the motion
-FOLLOWED_HALVINGS = 5  # every second step is followed for half of MEMORY_CYCLES, every fourth for a quarter, ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +49,21 @@ def memory_force(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: StepResponses | None = None
 ) -> Array:  # fmt: skip
     """Force (n,) N along a path, states from rest. lin : (3,) m, kL, c. mean : accumulates step responses; or None."""
-    n, rate = x.size, FINE_GRID_FACTOR * rate_hz
+    n, rate = x.size, LIMITS.memory_grid_factor * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
-    fast, stride = reads_motion(effect, p, lin)[1], min(max(n // ROWS_PER_PIECE // MIN_PIECES, 1), MAX_PIECE_STRIDE)
-    for a in range(0, n, ROWS_PER_PIECE):
-        b = min(a + ROWS_PER_PIECE, n)
+    fast, stride = (
+        reads_motion(effect, p, lin)[1],
+        min(max(n // LIMITS.memory_rows_per_piece // LIMITS.min_pieces, 1), LIMITS.max_piece_stride),
+    )
+    for a in range(0, n, LIMITS.memory_rows_per_piece):
+        b = min(a + LIMITS.memory_rows_per_piece, n)
         rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1)
-        fine = interpolated(x[rows], FINE_GRID_FACTOR)
-        speed = interpolated(v[rows], FINE_GRID_FACTOR) if fast else np.zeros_like(fine)
-        stepped = mean is not None and a // ROWS_PER_PIECE % stride == 0
+        fine = interpolated(x[rows], LIMITS.memory_grid_factor)
+        speed = interpolated(v[rows], LIMITS.memory_grid_factor) if fast else np.zeros_like(fine)
+        stepped = mean is not None and a // LIMITS.memory_rows_per_piece % stride == 0
         force, states, about = force_along_path(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
-        start = states[(b - a) * FINE_GRID_FACTOR].copy()  # where the next piece begins
-        out[a:b] = decimated(force, FINE_GRID_FACTOR)
+        start = states[(b - a) * LIMITS.memory_grid_factor].copy()  # where the next piece begins
+        out[a:b] = decimated(force, LIMITS.memory_grid_factor)
         if mean is not None and about is not None:
             mean.add(about)
     return out
@@ -76,7 +73,7 @@ def memory_force_and_response(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
 ) -> tuple[Array, MeanResponse]:
     """Force (n,) N along a path, states from rest, and its mean response. lin : (3,) m, kL, c."""
-    mean = StepResponses(x, v, 1.0 / (FINE_GRID_FACTOR * rate_hz))
+    mean = StepResponses(x, v, 1.0 / (LIMITS.memory_grid_factor * rate_hz))
     return memory_force(effect, p, lin, x, v, rate_hz, mean), mean.response()
 
 
@@ -85,13 +82,13 @@ class StepResponses:
 
     def __init__(self, x: Series, v: Series, dt: float) -> None:
         cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
-        self.dt, self.stride = dt, max(1, int(cycle / STEPS_PER_CYCLE))
-        self.sums, self.counts = np.zeros((2, int(MEMORY_CYCLES * cycle) + 2))
+        self.dt, self.stride = dt, max(1, int(cycle / LIMITS.steps_per_cycle))
+        self.sums, self.counts = np.zeros((2, int(LIMITS.memory_cycles * cycle) + 2))
         self.rows, self.tangent = 0, 0.0
 
     def add(self, about: LinearisedMemory) -> None:
         """Add the step responses along a piece of the path."""
-        _launch(about.step, about.force, self.stride, FOLLOWED_HALVINGS, self.sums, self.counts)
+        _launch(about.step, about.force, self.stride, LIMITS.followed_halvings, self.sums, self.counts)
         self.rows, self.tangent = self.rows + len(about.force), self.tangent + float(about.force[:, -1].sum())
 
     def response(self) -> MeanResponse:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.background import Background
 from estimator.model.disc import Disc
 from estimator.model.rig import LineBand
@@ -17,7 +18,7 @@ from estimator.model.rotor_matrices import Rotor
 from estimator.signals.band_limit import noise_shape
 
 from .harmonics import PeriodicForce
-from .law_smoothing import HALF_SUPPORT_ROWS, MIN_SMOOTHING_SD, interpolated
+from .law_smoothing import HALF_SUPPORT_ROWS, interpolated
 
 TIME_FOLDS = 6  # of every record, for held-out errors and standard deviations
 _OTHER_DIRECTION = {"x": "y", "y": "x"}
@@ -185,7 +186,7 @@ class MotionRecord:
         o = self.other(i)
         both = np.hypot(self.out_of_band_sd, self.denoise_sd)
         lost = np.concatenate([both[i], np.zeros(2) if o is None else both[o]])
-        return np.asarray(np.sqrt(3.0) * np.maximum(lost, MIN_SMOOTHING_SD * self.sizes(i)))
+        return np.asarray(np.sqrt(3.0) * np.maximum(lost, LIMITS.min_smoothing_sd * self.sizes(i)))
 
     def sign(self, i: int) -> float:
         """+1 in direction x, -1 in direction y."""

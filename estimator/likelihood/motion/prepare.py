@@ -13,6 +13,7 @@ from estimator.arrays import Array, Series, real_samples, return_freed_memory
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.background import Background
 from estimator.model.disc import disc_of
 from estimator.model.rig import LineBand, Model
@@ -32,10 +33,6 @@ from .linear_memory import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
-MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
-MIN_PEAK_SI, MAX_PEAK_SI = 1e-15, 1e15  # a peak outside is a wrong unit, and its powers overflow
-MIN_LINE_GAIN = 0.1  # of the band limit, for a line beside the band: it leaks into the band by its sidelobes
-MIN_FITTED_SHARE = 0.3  # of the band: with less a resonance may lie in what is left out
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
 # 25.6 kHz; a working point and its making take about 90 bytes a sample
 MAX_SAMPLES = 6e6
@@ -57,7 +54,7 @@ def prepare(
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
-    if data.blocks * data.block < MIN_SAMPLES:
+    if data.blocks * data.block < LIMITS.min_samples:
         text = "an effect may be present and not visible; record half a minute or more"
         return (Message("record_short", f"only {used:.2g} s of the record are usable: {text}"),)
     kept = MAX_SAMPLES / len(data.places) / data.rate_hz
@@ -134,7 +131,7 @@ def _lines_passed(model: Model, rate_hz: float) -> tuple[LineBand, ...]:
     gain = passband(np.array([b.centre_hz for b in model.line_bands]), rate_hz, model.band)
     return tuple(
         replace(b, power_over_psd_hz=b.power_over_psd_hz * g**2)
-        for b, g in zip(model.line_bands, gain.tolist(), strict=True) if g > MIN_LINE_GAIN
+        for b, g in zip(model.line_bands, gain.tolist(), strict=True) if g > LIMITS.min_line_gain
     )  # fmt: skip
 
 
@@ -147,7 +144,7 @@ def _held_linear(model: Model) -> dict[str, float]:
 def _refuse_only_lines(model: Model, fitted_hz: float) -> None:
     """Raise DataError where narrow lines fill most of the band. fitted_hz : width of what they leave, Hz."""
     low, high = model.band
-    if model.line_bands and fitted_hz < MIN_FITTED_SHARE * (high - low):
+    if model.line_bands and fitted_hz < LIMITS.min_fitted_share * (high - low):
         raise DataError(
             f"narrow lines fill {1 - fitted_hz / (high - low):.0%} of the band {low:.0f}-{high:.0f} Hz: the "
             "bearings are judged by random vibration between the lines; widen the band"
@@ -304,7 +301,7 @@ def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
         what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
         raise DataError(f"channel {name} {what}: check the sensor and its cable")
     largest = max(high, -low)
-    if not MIN_PEAK_SI < largest < MAX_PEAK_SI:
+    if not LIMITS.min_peak_si < largest < LIMITS.max_peak_si:
         raise DataError(f"channel {name} reaches {largest:.3g} in SI units: check its unit and its scale")
     return low, high
 

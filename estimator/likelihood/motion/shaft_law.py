@@ -20,15 +20,12 @@ from numba import njit
 
 from estimator.arrays import Array, Complexes
 from estimator.effects.engine.law_loop import force_array
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 from estimator.results import Message
 
 from .linear_memory import filtered_series
 from .motion_record import MotionRecord, without_bins
-
-MAX_STEP_RAD = 0.3  # of the disc's resonance in one step of integration
-MIN_LAW_REL = 1e-3  # of the shaft's stiffness, below which a law is only on trial
-ANGLES_PER_TURN = 64  # from which mean and first harmonic of the law are computed
 
 
 def first_of_direction(data: MotionRecord, i: int) -> int:
@@ -46,15 +43,15 @@ def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array
     if disc is None or o is None:
         return np.zeros(data.x.shape[1]), across
     caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
-    if max(-g.min(), g.max()) < MIN_LAW_REL * disc.K:
+    if max(-g.min(), g.max()) < LIMITS.min_law_rel * disc.K:
         disc = disc.blurred()
     calm = 0.0 if data.denoise_correction is None else data.denoise_correction[caps].astype(np.float64)
     mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
-    steps = max(1, int(np.ceil(disc.w0 / (MAX_STEP_RAD * data.rate_hz))))
+    steps = max(1, int(np.ceil(disc.w0 / (LIMITS.max_step_rad * data.rate_hz))))
     disc_motion = filtered_series(disc.follows, mean, data.rate_hz, 2 * steps)
     force = _beside(disc_motion, g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps)
-    angles = 2 * np.pi * np.arange(ANGLES_PER_TURN) / ANGLES_PER_TURN
-    turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES_PER_TURN), angles)) / ANGLES_PER_TURN
+    angles = 2 * np.pi * np.arange(LIMITS.angles_per_turn) / LIMITS.angles_per_turn
+    turn = np.fft.fft(_taken(effect, p, np.zeros(LIMITS.angles_per_turn), angles)) / LIMITS.angles_per_turn
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
     bins = 2 * np.pi * data.f_hz
     across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])

@@ -10,13 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.likelihood.thresholds import LIMITS
 from estimator.results import Message
-
-MIN_RMS_RATIO = 1.15  # largest over lowest rms of sixths of a record, from which a force counts as uneven
-MIN_RATIO_SDS = 8.0  # standard deviations of that ratio above 1
-AVERAGE_S = 1.0  # length that a level is the mean of
-LEVEL_TOLERANCE_LOG = 0.03  # of the logarithm of a level, between two fits
-MIN_INDEPENDENT_VALUES = 2000  # in a mean level: its scatter goes into the weights
 
 
 def relative_level(power: Array, at: Array, count: float) -> Array | None:
@@ -33,7 +28,7 @@ def levels_agree(one: Array | None, other: Array | None) -> bool:
     """Whether two levels (places, n) give the same weights; None: even."""
     if one is None or other is None:
         return one is other
-    return bool(np.abs(np.log(one / other)).max() < LEVEL_TOLERANCE_LOG)
+    return bool(np.abs(np.log(one / other)).max() < LIMITS.level_tolerance_log)
 
 
 def rms_ratio(level: Array | None) -> float:
@@ -50,24 +45,27 @@ def uneven_message(level: Array | None) -> tuple[Message, ...]:
 
 
 def _is_uneven(power: Array, count: float) -> bool:
-    """Whether the rms of sixths of a record differs by more than MIN_RMS_RATIO and more than chance. power : (n,)."""
+    """Whether the rms of sixths of a record differs by more than min_rms_ratio and more than chance. power : (n,)."""
     if power.size < 6:
         return False
     sixth = np.arange(power.size) * 6 // power.size
     parts = np.bincount(sixth)
     rms = np.sqrt(np.bincount(sixth, power) / parts)
     sd = 0.5 * np.sqrt(2.0 / (count * parts.min()))
-    return bool(rms.max() > max(MIN_RMS_RATIO, 1.0 + MIN_RATIO_SDS * sd) * rms.min())
+    return bool(rms.max() > max(LIMITS.min_rms_ratio, 1.0 + LIMITS.min_ratio_sds * sd) * rms.min())
 
 
 def _smooth(power: Array, at: Array, count: float) -> Array:
     """(n,) moving mean of power (n,) at times `at` (n,) s.
 
-    It reaches half of AVERAGE_S to either side, or as far as MIN_INDEPENDENT_VALUES need, but not past the nearer end.
+    It reaches half of average_s to either side, or as far as min_independent_values need, but not past the nearer end.
     """
     step = float(np.median(np.diff(at)))
     reach = (
-        np.minimum(0.5 * max(AVERAGE_S, step * MIN_INDEPENDENT_VALUES / count), np.minimum(at - at[0], at[-1] - at))
+        np.minimum(
+            0.5 * max(LIMITS.average_s, step * LIMITS.min_independent_values / count),
+            np.minimum(at - at[0], at[-1] - at),
+        )
         + 0.1 * step
     )
     total = np.concatenate([[0.0], np.cumsum(power)])

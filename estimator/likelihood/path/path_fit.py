@@ -30,10 +30,6 @@ from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.parallel import map_threads
 
-# Share of the information of single regressors, for a sum of them. Mean tangents are known to about 1 %. Where
-# regressors of a law cancel to 1e-4 of their power, the tangent of the sum is mostly error, and so is the determinant.
-MIN_INFORMATION_SHARE = 1e-5
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gram:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
+from estimator.likelihood.thresholds import LIMITS
 from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors
 
-from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit_increments, log_likelihood
+from .path_fit import Gram, PathFit, fit_increments, log_likelihood
 from .working_point import WorkingPoint
 
 IMPOSSIBLE_NATS = 1e6  # lost on a fold that a fit calls impossible, as where a mode is unstable
@@ -57,7 +58,7 @@ class Subproblem:
         penalty = np.concatenate([self.prior_information, np.full(len(self.extra), ridge)])
         folds = np.arange(TIME_FOLDS) if folds is None else folds
         return fit_increments(
-            self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, MIN_INFORMATION_SHARE
+            self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, LIMITS.min_information_share
         )
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:

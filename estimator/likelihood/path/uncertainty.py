@@ -13,12 +13,9 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import block_tangents
+from estimator.likelihood.thresholds import LIMITS
 
 from .working_point import WorkingPoint
-
-MIN_BLOCKS = 30  # of a record, for the scatter of its blocks
-MIN_EXCESS_SD = 3.0  # of a variance from the scatter of blocks above that of the Hessian: chance gives 1 in 700
-MAX_CHANCE_P = 1e-3  # of a scatter of the time folds: chance gives 1 in 1000
 
 
 def joint_covariance(point: WorkingPoint) -> Array:
@@ -31,10 +28,10 @@ def joint_covariance(point: WorkingPoint) -> Array:
     influence = _block_scores(point) @ bread  # of each block on each parameter
     expected = np.diag(bread)
     wider = np.ones(expected.size)
-    if (blocks := len(influence)) >= MIN_BLOCKS:
+    if (blocks := len(influence)) >= LIMITS.min_blocks:
         squares = influence**2
         excess, chance = squares.sum(axis=0) - expected, squares.std(axis=0) * np.sqrt(blocks)
-        wider = np.where(excess > MIN_EXCESS_SD * chance, squares.sum(axis=0) / expected, wider)
+        wider = np.where(excess > LIMITS.min_excess_sd * chance, squares.sum(axis=0) / expected, wider)
     folds = np.array([influence[point.data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
     of_folds = (folds**2).sum(axis=0) / expected * TIME_FOLDS  # chi-squared, its mean left out
     wider = np.where(of_folds > _fold_limit(), np.maximum(of_folds / (TIME_FOLDS - 1), wider), wider)
@@ -42,10 +39,10 @@ def joint_covariance(point: WorkingPoint) -> Array:
 
 
 def _fold_limit() -> float:
-    """Chi-squared of the influence of the time folds that chance exceeds with MAX_CHANCE_P."""
+    """Chi-squared of the influence of the time folds that chance exceeds with max_chance_p."""
     from scipy.special import chdtri
 
-    return float(chdtri(TIME_FOLDS - 1, MAX_CHANCE_P))
+    return float(chdtri(TIME_FOLDS - 1, LIMITS.max_chance_p))
 
 
 def _joint_hessian(point: WorkingPoint) -> Array:

@@ -26,6 +26,7 @@ from estimator.likelihood.response.regressor_set import (
     regressors,
     with_second_order,
 )
+from estimator.likelihood.thresholds import LIMITS
 from estimator.likelihood.whitening.contour import continued_tangent, contour
 from estimator.likelihood.whitening.determinant import Jacobian, line_weights
 from estimator.likelihood.whitening.sensor_noise import SensorNoise, force_correlation, referred_noise
@@ -34,8 +35,6 @@ from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
 from .path_fit import Gram, PathFit, fit_increments, gram_matrices
-
-SEARCHED_STEP_SD = 0.3  # prior standard deviation of a step of a searched parameter, over its natural scale
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -298,7 +297,7 @@ def _prior_information(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> A
     prior = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
-            far = SEARCHED_STEP_SD * parameter_scale(use, k, data)
+            far = LIMITS.searched_step_sd * parameter_scale(use, k, data)
             if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
                 prior[j] = (G.scales[j] / far) ** 2

@@ -19,24 +19,21 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.effects.engine.memory_loop import memory_array
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
 from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import unmeasured_gain
 
 from .modal_response import compliance
 
-MIN_EVEN_PART_REL = 1e-3  # of a law's size; a smaller even part is rounding
-TRIED_STATES = 40  # random states at which a law is tried
-MEASURED_FORCE_ROUNDS = 3  # of the iteration for the tangents of laws under a measured force
-
 
 def has_even_part(effect: Effect, p: Array, sizes: Array) -> bool:
     """Whether a law has a part that is even in the motion. sizes : (4,) rms of x, v, xo, vo, m and m/s."""
     if effect.kind != "force" or effect.force is None:
         return False
-    x, v, xo, vo = np.random.default_rng(0).normal(size=(4, TRIED_STATES)) * sizes[:, None]
+    x, v, xo, vo = np.random.default_rng(0).normal(size=(4, LIMITS.tried_states)) * sizes[:, None]
     there, back = force_array(effect, p, x, v, xo, vo), force_array(effect, p, -x, -v, -xo, -vo)
-    return bool(np.abs(there + back).max() > MIN_EVEN_PART_REL * np.abs(there - back).max() + 1e-300)
+    return bool(np.abs(there + back).max() > LIMITS.min_even_part_rel * np.abs(there - back).max() + 1e-300)
 
 
 def usual_parameters(effect: Effect) -> Array:
@@ -95,7 +92,7 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
     own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
     if not any(own) and data.below_band_force is None:
         return data
-    for _ in range(1 if data.below_band_force is None else MEASURED_FORCE_ROUNDS):
+    for _ in range(1 if data.below_band_force is None else LIMITS.measured_force_rounds):
         push, tangents = _pushed(data, own, lin)
         D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
         if data.below_band_force is not None:  # the caps then move much, and a strong law answers as its mean tangent

@@ -11,20 +11,11 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.located_law import LocatedLaw, needs_finer_grid, tangent_series
 from estimator.likelihood.motion.motion_record import MotionRecord, decimated_record, leading_blocks, oversampled
+from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 
 from .modal_response import ModalResponse
-from .self_energy import (
-    COVARIANCE_DECAYS,
-    MIN_COVARIANCE_S,
-    TangentSpectra,
-    second_order_response,
-    self_energy,
-    tangent_covariance,
-    tangent_spectra,
-)
-
-SAMPLES_PER_CYCLE = 40.0  # of the motion: the covariance of a jump falls within few samples
+from .self_energy import TangentSpectra, second_order_response, self_energy, tangent_covariance, tangent_spectra
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +59,7 @@ class Fluctuation:
     def coarse(self, rate_hz: float, mean: ModalResponse) -> Fluctuation:
         """Fluctuation at the rate of the record, for laws without jumps, or at a multiple that resolves kinks."""
         by = round(self.data.rate_hz / rate_hz)
-        while by > 1 and self.data.rate_hz / by < SAMPLES_PER_CYCLE * mean.hz:
+        while by > 1 and self.data.rate_hz / by < LIMITS.samples_per_cycle * mean.hz:
             by //= 2
         if by == 1:
             return self
@@ -98,7 +89,9 @@ def fluctuations(
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
     used = [i for i, laws in enumerate(own) if laws and mean[i].sound]
     part = (
-        leading_blocks(data, max(mean[i].seconds(MIN_COVARIANCE_S, COVARIANCE_DECAYS) for i in used)).in_one()
+        leading_blocks(
+            data, max(mean[i].seconds(LIMITS.min_covariance_s, LIMITS.covariance_decays) for i in used)
+        ).in_one()
         if used
         else data
     )

@@ -12,11 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.arrays import Array, Complexes
+from estimator.likelihood.thresholds import LIMITS
 from estimator.model.rotor_matrices import Rotor
-
-MIN_MODE_POWER_REL = 0.01  # variance under white force over that of the largest mode; weaker modes are not waited for
-SLOWEST_MODE_SHARE = 0.1  # decays of the slowest mode over decays of the mean over modes that a record has to hold
-MIN_RESIDUE_REL = 1e-6  # of the largest residue; smaller ones are modes of other caps
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +45,7 @@ class ModalResponse:
     @property
     def decay(self) -> float:
         """Time in which free motion falls by e, s, in the slowest mode that contributes."""
-        part = self._power > MIN_MODE_POWER_REL * self._power.max()
+        part = self._power > LIMITS.min_mode_power_rel * self._power.max()
         return float((-1.0 / self.poles.real[part]).max())
 
     @property
@@ -86,7 +83,7 @@ class ModalResponse:
 
         A mode that decays slowly has to fit in a tenth as many times.
         """
-        return max(least, decays * self.quick, SLOWEST_MODE_SHARE * decays * self.decay)
+        return max(least, decays * self.quick, LIMITS.slowest_mode_share * decays * self.decay)
 
     def lags(self, dt: float, most: int) -> int:
         """Number of lags after which free motion has decayed: a power of two of at least 8, or `most`."""
@@ -131,7 +128,7 @@ def modal_responses(
 
     def of(i: int) -> ModalResponse:
         residues = double * right[i] * left[:, i]
-        felt = above & (np.abs(residues) > MIN_RESIDUE_REL * np.abs(residues).max())
+        felt = above & (np.abs(residues) > LIMITS.min_residue_rel * np.abs(residues).max())
         return ModalResponse(np.asarray(poles[felt], np.complex128), np.asarray(residues[felt], np.complex128))
 
     return tuple(of(i) for i in range(n))

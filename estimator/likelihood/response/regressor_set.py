@@ -20,14 +20,12 @@ from estimator.likelihood.motion.located_law import (
     tangent_series,
 )
 from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
+from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 
 from .fluctuation import Fluctuation
 
 T = TypeVar("T")
-MIN_SEARCHED_STEP_REL = 0.1  # of a searched parameter of a law with memory; less meets few kinks of its response
-SHAFT_STEP_REL = 1e-4  # step of a law of the shaft over the shaft's stiffness
-MIN_SINGLE_RMS = 1e-30  # rms per unit that single precision holds (x^5 of a quiet bearing is below)
 
 
 class UnitRegressors:
@@ -141,7 +139,7 @@ def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, f
     """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
     parameters = placed.effect.parameters
     if placed.effect.kind == "shaft" and data.disc is not None:  # linear in the first order only: it moves the disc
-        near = SHAFT_STEP_REL * data.disc.K * np.eye(placed.p.size)[k]
+        near = LIMITS.shaft_step_rel * data.disc.K * np.eye(placed.p.size)[k]
         if np.abs(placed.p).max() <= near[k]:  # on trial
             return [(near, 1.0 / near[k])]
         return [(placed.p + near, 0.5 / near[k]), (placed.p - near, -0.5 / near[k])]
@@ -155,7 +153,7 @@ def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, f
         unit, a, step = (
             _ends(placed, amplitudes[0], data)[0][0],
             placed.p[amplitudes[0]],
-            MIN_SEARCHED_STEP_REL * abs(placed.p[k]),
+            LIMITS.min_searched_step_rel * abs(placed.p[k]),
         )
         up = unit.copy()
         up[k] += step
@@ -184,7 +182,7 @@ def _summed(parts: Iterator[Any]) -> Any:
 
 def in_single_precision(term: Regressor) -> Regressor:
     """The regressor with its own series in single precision if that can hold it; views of the record stay."""
-    if term.scale > 1.0 / MIN_SINGLE_RMS:
+    if term.scale > 1.0 / LIMITS.min_single_rms:
         return term
     return replace(
         term, series={i: z if z.base is not None else z.astype(np.float32, copy=False) for i, z in term.series.items()}
@@ -195,7 +193,7 @@ def in_single_precision(term: Regressor) -> Regressor:
 class Span:
     """Span of the base regressors at one place, each scaled to rms 1.
 
-    base : the k regressors. part : (k, n / PROJECTION_STRIDE) every so manyth sample. gram : (k, k) of part.
+    base : the k regressors. part : (k, n / projection_stride) every so manyth sample. gram : (k, k) of part.
     slopes : (k, places, 2) mean tangents. apart : (k, folds, places, 2) those of time folds less the mean.
     memory : (k, places, bins) mean responses, see Regressor; None if all are zero.
     """
@@ -216,13 +214,10 @@ def add_to(z, weight, other):  # type: ignore[no-untyped-def]
         z[i] += weight * other[i]
 
 
-PROJECTION_STRIDE = 4  # every so manyth sample gives the weights of the projection, which is then subtracted exactly
-
-
 def span_at(base: Sequence[Regressor], i: int) -> Span:
     """Span of the base regressors at place i, without a mass: its response is no tangent."""
     own = tuple(b for b in base if i in b.series and b.mass_at is None)
-    part = np.stack([(b.series[i][::PROJECTION_STRIDE] * b.scale).astype(np.float32) for b in own])
+    part = np.stack([(b.series[i][:: LIMITS.projection_stride] * b.scale).astype(np.float32) for b in own])
     wide = part.astype(np.float64)
     more = next((b.memory[i] for b in own if i in b.memory), None)
     memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
@@ -255,7 +250,7 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
-        weights = np.linalg.lstsq(base.gram, base.part @ z[::PROJECTION_STRIDE], rcond=1e-10)[0]
+        weights = np.linalg.lstsq(base.gram, base.part @ z[:: LIMITS.projection_stride], rcond=1e-10)[0]
         rest = z.astype(np.float64)
         for weight, b in zip(weights, base.base, strict=True):
             add_to(rest, -weight * b.scale, b.series[i])

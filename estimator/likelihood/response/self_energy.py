@@ -23,15 +23,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
+from estimator.likelihood.thresholds import LIMITS
 
 from .modal_response import ModalResponse
 
 TangentSpectra = tuple[NDArray[np.complex64] | None, ...]
-MIN_COVARIANCE_S, COVARIANCE_DECAYS = 8.0, 1000.0  # record length for the covariances: the longer of the two
-RESPONSE_ROUNDS = 10  # iterations of the self-consistent response
-MAX_STIFFNESS_SD_REL = 1.0  # rms of the tangent stiffness over its mean, above which no correction is made
-MAX_STIFFNESS_SD_OVER_WIDTH = 19.0  # rms of the tangent stiffness over the least dynamic stiffness (c w0 of one cap)
-MAX_POWER_AFTER_LAGS = 0.02  # share of the power of free motion after the last lag
 
 
 def tangent_spectra(tangents: NDArray[np.floating], lags: int) -> TangentSpectra:
@@ -72,14 +68,17 @@ def second_order_response(total: Array, dt: float, mean: ModalResponse) -> Array
     within the lags.
     """
     lags = total.shape[2]
-    if not mean.sound or mean.unfinished(lags * dt) > MAX_POWER_AFTER_LAGS:
+    if not mean.sound or mean.unfinished(lags * dt) > LIMITS.max_power_after_lags:
         return None
-    if total[0, 0, 0] > min(MAX_STIFFNESS_SD_REL * mean.stiffness, MAX_STIFFNESS_SD_OVER_WIDTH * mean.width) ** 2:
+    if (
+        total[0, 0, 0]
+        > min(LIMITS.max_stiffness_sd_rel * mean.stiffness, LIMITS.max_stiffness_sd_over_width * mean.width) ** 2
+    ):
         return None
     w: Array = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
     G, bare, iw = mean.at(w), mean.after(np.arange(lags, dtype=np.float64) * dt), 1j * w
     sigma, g = np.zeros(iw.size, complex), bare
-    for _ in range(RESPONSE_ROUNDS):
+    for _ in range(LIMITS.response_rounds):
         sigma = 0.5 * (sigma + _transform(total, g, dt))
         change = sigma * G**2 / (1.0 - sigma * G)
         g = bare + np.fft.irfft(np.stack([change, iw * change]), axis=1)[:, :lags] / dt

@@ -16,11 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import MotionRecord
-
-MAX_LINES = 8  # projected out; every line costs two products with each series
-MIN_LEAKAGE_BINS = 0.3  # power that leaks out of the bins left out, over the noise in one bin
-LINE_POWERS = 3, 2  # of the cotangent at f0 and at -f0; beyond them a wander of 0.1 % is lost in noise
-DISC_POWERS = 2, 1  # of a disc, which only decays
+from estimator.likelihood.thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +42,10 @@ def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage |
 
     weights : (places, bins) of the spectra.
     """
-    forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LINE_POWERS)]
+    forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LIMITS.line_powers)]
     for f0 in () if data.rotor is None else data.rotor.resonances_hz:
         if data.band[0] < f0 < data.band[1]:
-            forms += _forms(data, f0, DISC_POWERS)  # the notch of the shaft leaves it out
+            forms += _forms(data, f0, LIMITS.disc_powers)  # the notch of the shaft leaves it out
     if not forms:
         return None
     forms.append(np.ones(data.f_hz.size))
@@ -69,7 +65,7 @@ def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array
 
 
 def leaking_lines(data: MotionRecord) -> list[float]:
-    """Frequencies of the lines that leak most, Hz, at most `MAX_LINES`.
+    """Frequencies of the lines that leak most, Hz, at most `max_lines`.
 
     A block without a window puts 1 / (pi k)^2 of the power of a line in the bin k bins away.
     """
@@ -78,6 +74,6 @@ def leaking_lines(data: MotionRecord) -> list[float]:
     for line in data.lines:
         away = max(0.5 * (line.high_hz - line.low_hz) * seconds, 1.0)
         power = line.power_over_psd_hz * seconds * 2.0 / (np.pi**2 * away)
-        if power > MIN_LEAKAGE_BINS and not np.any(np.abs(data.f_hz - line.centre_hz) < 0.5 / seconds):
+        if power > LIMITS.min_leakage_bins and not np.any(np.abs(data.f_hz - line.centre_hz) < 0.5 / seconds):
             leaks.append((power, line.centre_hz))
-    return [hz for _, hz in sorted(leaks, reverse=True)[:MAX_LINES]]
+    return [hz for _, hz in sorted(leaks, reverse=True)[: LIMITS.max_lines]]

@@ -15,8 +15,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import MotionRecord
-
-MIN_CORRELATION = 1e-4  # of two residual forces, anywhere in the band; a smaller one is neglected
+from estimator.likelihood.thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +57,7 @@ def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> Sen
     R[:, range(P), range(P)] = 0.0
     root = np.sqrt(weight / S[:, None]).T
     shared = R * root[:, :, None] * root[:, None, :]
-    correlated = np.abs(shared).max(initial=0.0) > MIN_CORRELATION
+    correlated = np.abs(shared).max(initial=0.0) > LIMITS.min_correlation
     return SensorNoise(weight=weight, share=referred * weight, root=root, shared=shared if correlated else None)
 
 

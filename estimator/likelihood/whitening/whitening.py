@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
 from estimator.likelihood.response.regressor_set import Regressor, regressor_response
+from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 
 from .determinant import tangent_times
@@ -18,7 +19,6 @@ from .line_leakage import Leakage, line_leakage
 from .sensor_noise import SensorNoise
 
 Spectrum = NDArray[np.float32]
-BLOCKS_PER_FFT = 32  # transformed at a time; more do not stay in the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,8 +90,8 @@ class Whitening:
             out = np.empty((len(z), root.size), np.float32)
         single = z.dtype == np.float32
         root = root * np.float32(scale) if single else root
-        for a in range(0, len(z), BLOCKS_PER_FFT):
-            part, made = z[a : a + BLOCKS_PER_FFT], out[a : a + BLOCKS_PER_FFT]
+        for a in range(0, len(z), LIMITS.blocks_per_fft):
+            part, made = z[a : a + LIMITS.blocks_per_fft], out[a : a + LIMITS.blocks_per_fft]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(self._in_band(np.asarray(rfft(part, axis=1))).view(np.float32), root, out=made)
             if self.leakage is not None:
