@@ -110,8 +110,12 @@ def _of_usable(
         known += uses or [signal_use(model, entry)]
         diagnoses.insert(-1, judgement)
         parameters |= entry.parameters
+    last = found.last
+    if last.verdict == "complete" and set(usable.model.places) != set(model.places):
+        last = replace(last, verdict="unknown")  # the messages on the record say which place is not judged, and why
     return replace(
         found,
+        last=last,
         rungs=tuple(rungs),
         model=replace(found.model, effects=(*found.model.effects, *known)),
         parameters=parameters,

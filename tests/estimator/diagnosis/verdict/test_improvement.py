@@ -23,7 +23,7 @@ from estimator.errors import DataError
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
+from estimator.model.rig import BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 
@@ -176,6 +176,25 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model)
     for name in colour:
         found, best = (p[f"bearing1.x.coloured_excitation.{name}"] for p in (ladder.parameters, alone))
         assert abs(found.value - best.value) < 0.5 * best.sd, (found, best)
+
+
+def test_strikes_and_a_large_tone_of_the_shaft_are_added_as_diagnose_names_them() -> None:
+    rate_hz, hz = 5120.0, 25.0
+    cap = {"bearing1.x": {"kL": Setting(2e6), "c": Setting(60.0), "S": Setting(1e-4)}}
+    rig = Model(
+        (Channel("b1x", "bearing1", "x"),), band=(100.0, 2000.0), mass={"bearing1": 0.2}, linear=cap,
+        speed_rpm=60.0 * hz, bearing=BearingGeometry(9, 7.94e-3, 39.04e-3),
+    )  # fmt: skip
+    y = simulate(rig, rate_hz, 8.0, seed=4, noise=0.0)
+    t = np.arange(len(y)) / rate_hz
+    since = np.mod(t, 1.0 / (3.585 * hz))
+    rms = float(y.std())
+    y[:, 0] += 6.0 * rms * np.exp(-since / 1e-3) * np.sin(2 * np.pi * 1500.0 * since)
+    y[:, 0] += 0.1 * np.sqrt(2.0) * 2 * np.pi * hz * np.sin(2 * np.pi * hz * t)  # 100 mm/s
+    found = improve(rig, y, rate_hz)
+    assert set(found.rungs[-1].effects) >= {"local_defect", "imbalance"}
+    order = next(use for use in found.model.effects if use.name == "local_defect").parameters["bearing1.x"]["order"]
+    assert order.value == pytest.approx(3.585, rel=0.005)
 
 
 @pytest.mark.slow

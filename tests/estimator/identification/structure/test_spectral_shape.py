@@ -23,6 +23,25 @@ from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
 
+def test_a_shared_force_is_seen_in_every_part_of_the_band_and_a_wrong_structure_is_not() -> None:
+    """Two equal caps without a shaft: a share of the motion of one in that of the other is a share of its force."""
+    cap = {"kL": Setting(2e6), "c": Setting(60.0), "S": Setting(1e-4)}
+    caps = (Channel("b1x", "bearing1", "x"), Channel("b2x", "bearing2", "x"))
+    rig = Model(
+        caps, band=(100.0, 2000.0), mass={"bearing1": 0.2, "bearing2": 0.2},
+        linear={"bearing1.x": cap, "bearing2.x": cap},
+    )  # fmt: skip
+    one, two = simulate(rig, 5120.0, 6.0, seed=2, noise=0.0).T
+    part = lfilter(*butter(2, (300.0, 600.0), "bandpass", fs=5120.0), one)
+    lost = {}
+    for name, own in (("shared", two + 0.15 * one), ("in a part", two + 0.4 * part)):
+        point = fit_record(rig, prepare(rig, np.stack([one, own], axis=1), 5120.0))
+        found = next(s for s in spectral_shape.find_spectral_shapes(rig, point) if s.effect == "correlated_force")
+        lost[name] = sum(nats < 0.0 for nats in found.folds)
+    assert lost["shared"] == 0
+    assert lost["in a part"] > 1
+
+
 def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
     """A filter of one channel that falls within the band is found as a resonant sensor; so much is said."""
     rig = replace(one_bearing(), effects=())
