@@ -61,11 +61,13 @@ def beginning(path: Path) -> Beginning | None:
 class LoggedSession:
     """The segments of one session as one log, for replay. Memory does not grow with their number.
 
-    path : the folder. parts : how each segment begins, in order.
+    path : the folder. parts : how each segment begins, in order. lost_end : name of a segment behind them of which
+    nothing can be read, as a full disk leaves it; "" if there is none.
     """
 
     path: Path
     parts: Sequence[Beginning]
+    lost_end: str = ""
     found: dict[Path, Findings] = field(default_factory=dict, repr=False)  # of the segments that were read to the end
     growing: bool = False
 
@@ -109,8 +111,10 @@ class LoggedSession:
 
     @property
     def complete(self) -> bool:
-        """Whether every segment was read to its end, closed and intact."""
-        return all(part.path in self.found and self.found[part.path].complete for part in self.parts)
+        """Whether every segment was read to its end, closed and intact, and the end of the session is among them."""
+        return not self.lost_end and all(
+            part.path in self.found and self.found[part.path].complete for part in self.parts
+        )
 
     @property
     def damage(self) -> list[str]:
@@ -161,11 +165,15 @@ class LoggedSession:
 def sessions(folder: Path) -> list[LoggedSession]:
     """The sessions of a folder, in the order of their times. Raises LogError if it holds none."""
     found: dict[str, list[Beginning]] = {}
+    lost_ends: dict[str, str] = {}
+    before = ""
     for segment in segments(folder):
         begins = beginning(segment.path)
         if begins is not None:
-            found.setdefault(begins.session, []).append(begins)
+            before = begins.session
+            found.setdefault(before, []).append(begins)
+        lost_ends[before] = "" if begins is not None else segment.path.name
     if not found:
         raise LogError(f"{folder}: holds no segments; give a folder that `rotorscope run --segment` wrote, or a log")
-    ordered = [sorted(parts, key=lambda part: part.number) for parts in found.values()]
-    return [LoggedSession(path=folder, parts=parts) for parts in ordered]
+    ordered = {session: sorted(parts, key=lambda part: part.number) for session, parts in found.items()}
+    return [LoggedSession(path=folder, parts=ordered[one], lost_end=lost_ends[one]) for one in ordered]

@@ -26,7 +26,8 @@ def remove_old(folder: Path, keep: Keep, now_ns: int, own: Collection[Path], wri
     """One pass over a folder of segments.
 
     now_ns : Unix time of the newest sample. own : segments of this session, which are the newest whatever the clock of
-    this computer said as they began. written : that are being written, which stay.
+    this computer said as they began. written : that are being written, which stay. The newest of the others stays
+    too, however full the disk is: somebody else fills it.
     """
     found = segments(folder)
     ends = {a.path: b.start_ns for a, b in zip(found, found[1:], strict=False)}
@@ -39,7 +40,7 @@ def remove_old(folder: Path, keep: Keep, now_ns: int, own: Collection[Path], wri
     for segment in order:
         old = keep.age_s is not None and now_ns - ends.get(segment.path, now_ns) > keep.age_s * 1e9
         large = keep.size_bytes is not None and total > keep.size_bytes
-        full = free < keep.free_bytes
+        full = free < keep.free_bytes and segment is not order[-1]
         if not (old or large or full):
             continue
         if segment.alarm and not keep.alarms_too:

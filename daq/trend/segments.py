@@ -111,7 +111,8 @@ class SegmentedLog:
         self._state.status = status
         if self._part is not None:
             self._part.writer.status(status)
-        if self._clock.now_ns() >= self._keep_ns:
+        due = self._clock.now_ns() >= self._keep_ns
+        if due or (self._disk_is_full(self._state) and self._chores.idle()):
             self._chores.put(self._remove_old)
             self._keep_ns = self._clock.now_ns() + round(KEEP_EVERY_S * 1e9)
 
@@ -130,6 +131,10 @@ class SegmentedLog:
         self._end_part()
         self._chores.put(self._remove_old)
         self._chores.close(CLOSE_S if self._live else None)
+
+    def _disk_is_full(self, state: _State) -> bool:
+        """Or faulty: no segment can be opened, or the one that is written waits for room."""
+        return state.lost is not None if self._part is None else self._part.writer.faulty
 
     # -- where a segment begins and ends ----------------------------------------------------------------------------
 
@@ -269,6 +274,8 @@ class SegmentedLog:
     # -- chores -----------------------------------------------------------------------------------------------------
 
     def _close_part(self, part: _Part) -> None:
+        if part.writer.faulty:
+            self._remove_old()  # it makes room for the end of this one
         part.writer.close()
         health = part.writer.health()
         self._notices.extend(health.notices)

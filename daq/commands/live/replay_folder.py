@@ -29,6 +29,9 @@ def replay_folder(
         text = "--check compares with the logged estimates, which were made with the rig file in the segments"
         raise ConfigError(f"{text}: leave --rig out")
     found = sessions(folder)
+    for session in found:
+        if session.lost_end:
+            output.note(f"{session.lost_end}: nothing in it can be read; the session ends with the segment before it")
     if len(found) > 1 and (out is not None or rerun is not None):
         raise ConfigError(f"{folder}: holds {len(found)} sessions; --out and --rerun are for one: give a segment")
     if check:

@@ -6,7 +6,6 @@ Each command runs in a mount namespace of its own, so nothing is seen outside an
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from cable import Cable
-from promises import PATIENCE_S
+from mounts import in_namespace
 
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
@@ -32,15 +31,6 @@ def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(RIG.read_text().replace('method = "spectral"', 'method = "score-matching"'))
     return path
-
-
-def in_namespace(script: str, folder: Path, **more: str) -> subprocess.CompletedProcess[str]:
-    """Of bash, in `folder`, with mounts of its own."""
-    command = ["unshare", "-m", "bash", "-euc", script]
-    environment = os.environ | more
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
 
 
 @contextmanager

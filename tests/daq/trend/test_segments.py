@@ -72,6 +72,16 @@ def test_segments_are_cut_on_blocks_complete_and_replay_as_one(tmp_path: Path) -
     assert (again.samples, again.lost_samples) == (summary.samples, summary.lost_samples)
 
 
+def test_a_last_segment_of_which_nothing_can_be_read_leaves_the_others_checkable(tmp_path: Path) -> None:
+    """As a full disk leaves it: the estimate of the last block came when the next segment had begun."""
+    record(tmp_path, blocks(0, 90 * ROWS), Cut(seconds=1.0))
+    last = segments(tmp_path)[-1].path
+    last.write_bytes(last.read_bytes()[:2000])
+    session = only(tmp_path)
+    assert session.lost_end == last.name
+    assert replay_into(session, check=True, make=MomentEstimator).identical
+
+
 def test_a_segment_knows_the_clock_from_its_beginning(tmp_path: Path) -> None:
     log = SegmentedLog(tmp_path, "press", Cut(seconds=1.0), Keep(), block_rows=block_rows, live=False)
     log.start(Session(model=RIG.model, info=INFO, device="", attachments=RIG.attachments(), metadata={}))
@@ -148,7 +158,9 @@ def test_retention_takes_the_oldest_and_spares_alarms(tmp_path: Path) -> None:
     assert remove_old(tmp_path, Keep(size_bytes=500), now, [], paths[-1:]).kept_alarms == 1
     assert left(tmp_path) == [1, 5]
     remove_old(tmp_path, Keep(free_bytes=10**18, alarms_too=True), now, [], paths[-1:])
-    assert left(tmp_path) == [5]  # never the one that is written
+    assert left(tmp_path) == [1, 5]  # somebody else fills the disk: the newest stays, and the one that is written
+    remove_old(tmp_path, Keep(size_bytes=500, alarms_too=True), now, [], paths[-1:])
+    assert left(tmp_path) == [5]
 
 
 def test_a_clock_that_was_wrong_does_not_make_the_newest_the_oldest(tmp_path: Path) -> None:
