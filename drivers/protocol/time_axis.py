@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .look_ahead import LEAST_BUNCHED_SHARE, earliest_ahead, look_ahead_ends
 from .period import NOMINAL_REL, SHARP_REL, Period, estimate_period, round_rate
 
 LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
@@ -92,7 +93,8 @@ class TimeAxis:
         lag = np.asarray(passed - np.arange(len(times)), np.float64)
         ahead = self._ahead()
         known = self._known(lag, ahead)
-        placed = self._pieces(lag if known is None else lag - known, known, ahead, final)
+        ends = look_ahead_ends(times, ahead, ahead * self._period_ns)
+        placed = self._pieces(lag if known is None else lag - known, known, ends, final)
         sure = len(placed.index)
         self._held, self._hints = times[sure:], self._hints[sure:]
         return placed
@@ -128,9 +130,10 @@ class TimeAxis:
                 self._hints[at] = max(0, self._hints[at] - int(early + CLOSE_SAMPLES))
         return np.asarray(np.cumsum(self._hints))
 
-    def _pieces(self, lag: F64Array, known: I64Array | None, ahead: int, final: bool) -> Placed:
+    def _pieces(self, lag: F64Array, known: I64Array | None, ends: I64Array, final: bool) -> Placed:
         n, done, base, level = len(lag), 0, 0.0, 0
-        earliest = _earliest(lag, ahead)
+        earliest = earliest_ahead(lag, ends)
+        whole = int(np.searchsorted(ends, n, side="right"))  # of so many, the look-ahead is there
         low, high = float(earliest.min()), float(earliest.max())
         if known is None and low > -0.5 and high < 1.0 - CLOSE_SAMPLES and high - low < FLAT_SAMPLES:
             return self._flat(lag, earliest)
@@ -140,7 +143,7 @@ class TimeAxis:
         while done < n:
             stop = min(done + size, n)
             beyond = slice(done, stop + round(4.0 * (self._late + 2.0)))
-            found, sure = self._levels(earliest[beyond] - base, level, n - ahead - done, ahead, final)
+            found, sure = self._levels(earliest[beyond] - base, level, whole - done, n - done, final)
             certain = min(sure, stop - done)
             sure = self._apart(found[:certain], level)
             if sure == 0:
@@ -151,7 +154,7 @@ class TimeAxis:
                 more, width = self._sharpen(missing, lag - base, level, here, self._hints if known is None else None)
                 unsure, within = unsure + more, max(within, width)
             rest = earliest[here] - found[:sure]
-            self._late = max(_quantile(lag[here] - found[:sure] - base, 0.98), 0.9 * self._late)
+            self._is_late(_quantile(lag[here] - found[:sure] - base, 0.98))
             base += _drift(_quantile(rest, 0.5) - base, self._unsure_rel * sure)
             done, level = done + sure, int(found[sure - 1])
             passed = done + level + (0 if known is None else int(known[done - 1]))
@@ -169,7 +172,7 @@ class TimeAxis:
         n = len(lag)
         last = earliest[-PIECE_SAMPLES:]
         base = _drift(_quantile(last, 0.5), self._unsure_rel * n)
-        self._late = max(_quantile(lag, 0.98) - base, 0.9 * self._late)
+        self._is_late(_quantile(lag, 0.98) - base)
         for stop in range(FLAT_PIECE_SAMPLES, n + 1, FLAT_PIECE_SAMPLES):
             self._remember(self._next + stop, stop + float(earliest[stop - 1]))
         index = self._next + np.arange(n)
@@ -177,16 +180,21 @@ class TimeAxis:
         self._advance(n, base)
         return Placed(index)
 
+    def _is_late(self, samples: float) -> None:
+        """What a host held up once while it stood still has a look-ahead of its own, and is not how late frames are."""
+        self._late = max(min(samples, LEAST_BUNCHED_SHARE * self._ahead()), 0.9 * self._late)
+
     def _apart(self, found: I64Array, level: int) -> int:
         """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""
         steps = np.flatnonzero(np.diff(found, prepend=level))
         near = steps[steps > max(0.0, len(found) - self._late - 3.0)]
         return int(near[0]) if len(near) else len(found)
 
-    def _levels(self, behind: F64Array, level: int, whole: int, ahead: int, final: bool) -> tuple[I64Array, int]:
+    def _levels(self, behind: F64Array, level: int, whole: int, held: int, final: bool) -> tuple[I64Array, int]:
         """(n,) samples missing before each, and how many of these are certain.
 
-        A step up counts if it is more than frames have lately been late, or if it lasts for longer than a burst.
+        A step up counts if it is more than frames have lately been late, or if it lasts for longer than a burst; while
+        it may still last, it waits.
         """
         n = len(behind)
         result = np.full(n, level, np.int64)
@@ -198,9 +206,11 @@ class TimeAxis:
         for start, stop in zip(steps[:-1], steps[1:], strict=True):
             if start >= whole and not final:
                 return result, start  # a later frame may still catch up
-            lasts = (max(n, whole + ahead) if stop == n else stop) - start
+            lasts = (held if stop == n else stop) - start
             if raw[start] - level > self._late + 0.5 or lasts >= 2.0 * (self._late + 1.0):
                 level = int(raw[start])
+            elif stop == n and not final:
+                return result, start
             result[start:] = level
         return result, n
 
@@ -262,8 +272,11 @@ class TimeAxis:
         self.rate_hz = self.rate_hz or round_rate(found.rate_hz, found.error_rel)
         self._anchor_ns = self._origin_ns = int(times[0])
         ahead = self._ahead()
-        lag = (times[: 4 * ahead] - times[0]) / self._period_ns - np.arange(len(times))[: 4 * ahead]
-        self._late = max(0.0, _quantile(lag - _earliest(lag, ahead), 0.9))
+        some = times[: 4 * ahead]
+        lag = np.asarray((some - times[0]) / self._period_ns - np.arange(len(some)), np.float64)
+        self._late = max(
+            0.0, _quantile(lag - earliest_ahead(lag, look_ahead_ends(some, ahead, ahead * self._period_ns)), 0.9)
+        )
         first = times[:ahead]
         number = np.arange(len(first)) + (np.cumsum(self._hints[:ahead]) if self.trust_hints else 0)
         self._rest_ns = float((first - first[0] - number * self._period_ns).min())
@@ -333,16 +346,3 @@ def _drift(error: float, most: float) -> float:
     if error < -0.5:  # frames cannot be early: those before were late, or the clock was set back
         return error
     return float(np.clip(error, -most, most))
-
-
-def _earliest(lag: F64Array, ahead: int) -> F64Array:
-    """(n,) minimum of lag over each sample and the `ahead - 1` after it, by doubling the window."""
-    result, width = lag.copy(), 1
-    while width < ahead:
-        step = min(width, ahead - width)
-        if step < len(result):
-            result[:-step] = np.minimum(result[:-step], result[step:])
-        else:
-            result[:] = np.minimum.accumulate(result[::-1])[::-1]
-        width += step
-    return result
