@@ -304,7 +304,7 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
         if nearest.law is not None:
             state = min(nearest.places), "velocity" if nearest.law.state == "velocity" else "displacement"
         if (pair := fitting_pair(context, tried)) is not None:
-            said.append(Message(TWO_LAWS, f"two laws of {state[1] if state else 'one state'} fit: {pair.effect}"))
+            said.append(Message(TWO_LAWS, f"two laws together fit: {pair.effect}"))
     else:
         text = "part of the residual force is predictable, but no effect of the catalogue explains it significantly"
         said.append(Message("none_significant", text))
@@ -319,27 +319,35 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
 
 
 def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
-    """Two laws of one state that together leave little, where neither does alone, as one; None where there are none.
+    """Two laws that together leave little, where neither does alone, as one; None where there are none.
+
+    Laws of one state are to leave little of it, others of all that follows a state.
 
     tried : candidates that leave too much, the likeliest first.
     """
     part, before = context.survey.part, context.survey.missing
     laws = [e for e in tried if e.law is not None][:MAX_PAIRED]
     for one, other in combinations(laws, 2):
-        if one.law is None or other.law is None or one.law.state != other.law.state:
-            continue
         try:
             both = fit_model(part.data, [*part.placed, *one.placed, *other.placed], start=part)
         except NotFiniteError:
             continue
         left = missing_force.survey(both, context.model, only=before.places_found())
-        if left_of_own_state(before, left, one)[0] <= THRESHOLDS.max_left_rel:
+        alike = one.law is not None and other.law is not None and one.law.state == other.law.state
+        rest = left_of_own_state(before, left, one)[0] if alike else _left_of_states(before, left)
+        if rest <= THRESHOLDS.max_left_rel:
             own = {law.key for law in (*one.placed, *other.placed)}
             return replace(
                 one, effect=f"{one.effect} + {other.effect}", at=tuple(dict.fromkeys((*one.at, *other.at))),
                 placed=tuple(law for law in both.placed if law.key in own),
             )  # fmt: skip
     return None
+
+
+def _left_of_states(before: missing_force.MissingForce, after: missing_force.MissingForce) -> float:
+    """rms over rms before of all force that follows a state."""
+    was, rest = (sum(r.power_N2 for r in found.residuals if r.found) for found in (before, after))
+    return float(np.sqrt(max(rest, 0.0) / was)) if was > 0.0 else 1.0
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
