@@ -27,7 +27,7 @@ def test_two_laws_of_different_states_are_tried_together() -> None:
     for name in ("cubic", "quadratic_damping"):
         law = CATALOGUE[name]
         truth = with_effect(truth, law, strengths(law, size(RIG, "bearing1.x", RATE_HZ), 0.15, RIG), "bearing1.x")
-    y = simulate(truth, RATE_HZ, 4.0, seed=3, noise=0.0)
+    y = simulate(truth, RATE_HZ, 6.0, seed=3, noise=0.0)
     whole = fit_all_effects(RIG, y, RATE_HZ)
     survey = survey_bearing(whole.model, whole.point, y)[0]
     entries = {e.effect: e for e in rank_on_part(whole.model, survey, quiet).entries}
