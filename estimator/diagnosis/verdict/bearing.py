@@ -345,7 +345,7 @@ def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
 
 
 def _left_of_states(before: missing_force.MissingForce, after: missing_force.MissingForce) -> float:
-    """rms over rms before of all force that follows a state."""
+    """All force that follows a state, rms over rms before."""
     was, rest = (sum(r.power_N2 for r in found.residuals if r.found) for found in (before, after))
     return float(np.sqrt(max(rest, 0.0) / was)) if was > 0.0 else 1.0
 
