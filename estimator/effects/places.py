@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import ModelError
+from estimator.model.bearing_theory import kinematics
 from estimator.model.effect import Effect
 from estimator.model.rig import CAP_DIRECTIONS, EffectUse, Model, Setting
 
@@ -115,19 +116,5 @@ def kinematic(scale: str, model: Model) -> float | None:
         if model.ball_pass_order is not None:
             return model.ball_pass_order
         if model.bearing is not None:
-            return orders(model)["BPFO"]
+            return kinematics(model.bearing)["BPFO"]
     return None
-
-
-def orders(model: Model) -> dict[str, float]:
-    """Kinematic orders per shaft turn, outer ring at rest: FTF, BPFO, BPFI, BSF. Raises ModelError without geometry."""
-    b = model.bearing
-    if b is None:
-        raise ModelError("no [rig.bearing] geometry: kinematic orders are unknown")
-    ratio = b.ball_diameter / b.pitch_diameter * np.cos(b.contact_angle)
-    return {
-        "FTF": 0.5 * (1 - ratio),
-        "BPFO": 0.5 * b.balls * (1 - ratio),
-        "BPFI": 0.5 * b.balls * (1 + ratio),
-        "BSF": 0.5 * b.pitch_diameter / b.ball_diameter * (1 - ratio**2),
-    }

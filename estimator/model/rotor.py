@@ -1,4 +1,4 @@
-"""Linear rotor: shaft, disc and bearing matrices, disc elimination, modes, stationary response.
+"""Linear rotor: shaft, disc and bearing matrices, disc elimination, stationary response.
 
 One transverse direction at a time; the other is identical. Nodes in the order of the bearings and then "disc".
 Restoring convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408 (equation numbers
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, expm, solve_continuous_lyapunov
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 from estimator.arrays import Array
 from estimator.errors import ModelError
@@ -34,28 +34,6 @@ def shaft_matrix(shaft: Shaft, stiffness: float) -> Array:
         the shaft's own damping.
     """
     return stiffness * SHAFT_MATRICES[shaft]
-
-
-def lumped_shaft(positions: Array, bending_stiffness: float, slopes: str = "free") -> Array:
-    """(n, n) lateral stiffness, N/m, of a massless Euler-Bernoulli shaft, free at both ends, with n lumped nodes.
-
-    positions : (n,) m, increasing. bending_stiffness : EI, N m^2. slopes : "free" (rotations take the value that
-        carries no moment: forces only at the nodes) or "held" (every rotation zero).
-    Three equal elements give `beam` (12 EI / L^3 of the whole span) and `chain` (12 EI / l^3 of one element).
-    """
-    z = np.asarray(positions, dtype=float)
-    if z.ndim != 1 or z.size < 2 or np.any(np.diff(z) <= 0):
-        raise ValueError("positions: at least two increasing values in m")
-    n = z.size
-    K = np.zeros((2 * n, 2 * n))  # deflections, then slopes
-    for i, length in enumerate(np.diff(z)):
-        a, b = 6.0 * length, length * length
-        element = np.array([[12, a, -12, a], [a, 4 * b, -a, 2 * b], [-12, -a, 12, -a], [a, 2 * b, -a, 4 * b]])
-        at = [i, n + i, i + 1, n + i + 1]
-        K[np.ix_(at, at)] += bending_stiffness / length**3 * element
-    if slopes == "held":
-        return K[:n, :n]
-    return K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
 
 
 def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array | Complex) -> Complex:
@@ -104,30 +82,6 @@ def rotor_of(model: Model) -> Rotor | None:
     """Shaft and discs as the measured caps of a model move them; None without a shaft."""
     rotor = rotor_matrices(model)
     return None if rotor is None else rotor.at(model.places)
-
-
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """Undamped modes.
-
-    p : (n,) eigenvalues w^2, rad^2/s^2. shapes : (n, n) columns with the disc's row 1 (the paper's normalisation, eqs
-    38-40). mass : (n,) modal masses, kg.
-    """
-
-    p: Array
-    shapes: Array
-    mass: Array
-
-
-def modes(M: Array, K: Array, unit_node: int = -1) -> Modes:
-    """Modes of (M, K), each scaled to 1 at `unit_node` (the disc is last). ValueError if a mode is still there."""
-    p, U = eigh(K, M)
-    at = U[unit_node]
-    if np.any(np.abs(at) < 1e-9 * np.abs(U).max(axis=0)):
-        raise ValueError("a mode does not move the node it is to be normalised at; choose another")
-    U = U / at
-    p = np.where(np.abs(p) < 1e-9 * np.abs(p).max(), 0.0, p)
-    return Modes(p, U, np.einsum("ij,ik,kj->j", U, M, U))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,15 +12,18 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_notches
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels
+from estimator.likelihood.motion.known_spectra import fitted_bins
+from estimator.likelihood.motion.motion_record import mean_psd
+from estimator.likelihood.motion.prepare import valid_starts
 from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
-from estimator.signals.blocks import block_layout, block_spectra, valid_blocks
 from estimator.signals.channel_response import anti_alias_response
 
 OVERSAMPLE_FACTOR = 8
 SETTLE_DECAY_TIMES = 12.0  # decay times until the start from rest is forgotten
 CHUNK_S = 4.0
+BLOCK_CYCLES = 32.0  # of the lower band edge in a block of the spectrum of the error
 
 
 def resampled(z: Array, size: int, shift: float) -> Array:
@@ -89,14 +92,14 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
     good = measured.valid & simulated.valid
     good[:lead] = False
-    grid = block_layout(rate_hz, model.band, shaft_notches(model))
-    blocks = valid_blocks(good, grid)
-    if not blocks.size:
+    block = 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0])))
+    rows = (valid_starts(good, block)[:, None] + np.arange(block)).ravel()
+    if not rows.size:
         raise DataError(f"the record is too short for a free run of {lead / rate_hz:.1f} s and what is compared after")
     out = {}
     for i, c in enumerate(motions):
         name = {"acceleration": "a", "velocity": "v", "displacement": "x"}[kinds[i]]
         error = getattr(simulated, name)[i] - getattr(measured, name)[i]
-        psd = np.mean(np.abs(block_spectra(error[None], blocks, grid)) ** 2, axis=(0, 1))
-        out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate_hz / grid.size))
+        psd = mean_psd(error[rows], block, rate_hz)[1][fitted_bins(model, rate_hz, block)]
+        out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate_hz / block))
     return out

@@ -55,9 +55,7 @@ class BearingSurvey:
         loose = [p for p in self.part.data.places if not fitted_parameters(self.part)[f"{p}.kL"].identifiable]
         hidden = self.missing.interval()[2]
         if loose:
-            text = (
-                f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"
-            )
+            text = f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer, or add a channel at the other bearing")
         if hidden > MAX_HIDDEN_FORCE_PERCENT:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"

@@ -136,10 +136,9 @@ def _gram(
         regressor_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.whitening.s) for t in all_terms
     ]
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
-    units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
     stacked = point.jacobian.tangents(point.whitening.tangents_to_measured(np.stack(responses)), index)
-    gram = Gram(G=G, n=n, log_weight=np.zeros_like(n), tangents=stacked, scales=scales, names=names, units=units)
+    gram = Gram(G=G, n=n, log_weight=np.zeros_like(n), tangents=stacked, scales=scales, names=names)
     return gram, blocks
 
 

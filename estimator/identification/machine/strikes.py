@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.effects.places import orders
+from estimator.model.bearing_theory import kinematics
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 from estimator.results import Message
@@ -78,7 +78,7 @@ def kinematics_of(model: Model) -> list[Kinematic]:
     """What each defect of the rig's bearing would show; empty without geometry or a given ball-pass order."""
     if model.bearing is None:
         return [Kinematic(name="BPFO", order=model.ball_pass_order)] if model.ball_pass_order else []
-    own = {name: float(order) for name, order in orders(model).items()}
+    own = {name: float(order) for name, order in kinematics(model.bearing).items()}
     return [
         Kinematic(name="BPFO", order=own["BPFO"]),
         Kinematic(name="BPFI", order=own["BPFI"]),

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from estimator.arrays import Array
-from estimator.effects.places import kinematic, orders
+from estimator.effects.places import kinematic
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.identification.finding import Finding
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
+from estimator.model.bearing_theory import kinematics
 from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.line_spectrum import LineSpectrum
@@ -89,7 +90,7 @@ def _candidate_orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[floa
     if bpfo is not None:
         out.append(float(bpfo))
     if model.bearing is not None:
-        out += [v for k, v in orders(model).items() if k != "FTF"]
+        out += [v for k, v in kinematics(model.bearing).items() if k != "FTF"]
     steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
     if len(steady) >= 4:  # the spacing that most of the lines share
         spacing = np.diff(np.sort(steady))

@@ -31,7 +31,7 @@ def problem_of(anchor: Anchor, memory: Memory, names: int) -> tuple[Gram, Jacobi
     n = np.full((P, 1), memory.kept.sum())
     gram = Gram(
         G=memory.gram.sum(axis=0)[:, None, : 1 + K, : 1 + K], n=n, log_weight=np.zeros((P, 1)), tangents=responses,
-        scales=anchor.scales[:K], names=anchor.names[:K], units=anchor.units[:K],
+        scales=anchor.scales[:K], names=anchor.names[:K],
     )  # fmt: skip
     return gram, jacobian, np.array([memory.n])
 

@@ -80,7 +80,7 @@ def motion_record(
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     filtered = _band_limited(model, y, columns, rate_hz)
-    starts = _valid_starts(filtered.valid, block)
+    starts = valid_starts(filtered.valid, block)
     fold = time_folds(starts.size)
     pick = None if most_samples == np.inf else leading_of_folds(fold, int(most_samples / len(places) / block), part)
     starts, fold = (starts, fold) if pick is None else (starts[pick], fold[pick])
@@ -285,7 +285,7 @@ def _shared(model: Model) -> tuple[tuple[int, int], ...]:
     )
 
 
-def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
+def valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
     """First rows of the non-overlapping blocks without an invalid row."""
     edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
     out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -37,7 +37,7 @@ class Gram:
 
     G : (places, folds, 1 + k, 1 + k) N^2/Hz summed over bins; row 0 is the residual force. n : (places, folds) number
     of complex bins. log_weight : (places, folds) sum of log W. tangents : (k, places, places, bins) kg, contribution of
-    each regressor to A per scaled unit. scales : (k,) parameter in SI units per scaled unit. names, units : (k,) of the
+    each regressor to A per scaled unit. scales : (k,) parameter in SI units per scaled unit. names : (k,) of the
     parameters. apart : (k, folds, places, places, 2) mean tangent of each fold minus that of the record, per scaled
     unit; None: the tangents of all folds are alike. s : (bins,) rad/s that the tangents are given at; None with `apart`
     None.
@@ -49,7 +49,6 @@ class Gram:
     tangents: Complexes
     scales: Array
     names: tuple[str, ...]
-    units: tuple[str, ...]
     apart: Array | None = None
     s: Complexes | None = None
 
@@ -70,7 +69,7 @@ class Gram:
         apart = None if self.apart is None else self.apart[at]
         return replace(
             self, G=self.G[:, :, rows[:, None], rows], tangents=self.tangents[at], scales=self.scales[at],
-            names=tuple(names), units=tuple(self.units[k] for k in at), apart=apart,
+            names=tuple(names), apart=apart,
         )  # fmt: skip
 
     def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
@@ -80,10 +79,9 @@ class Gram:
         G = np.einsum("ab,ifbc,dc->ifad", M, self.G, M, optimize=True)
         tangents = np.concatenate([self.tangents[:first], np.tensordot(weights, self.tangents[first:], 1)])
         scales = np.concatenate([self.scales[:first], np.ones(len(names))])
-        units = self.units[:first] + ("1",) * len(names)
         apart = None if self.apart is None else np.tensordot(block_diag(np.eye(first), weights), self.apart, 1)
         names = self.names[:first] + names
-        return replace(self, G=G, tangents=tangents, scales=scales, names=names, units=units, apart=apart)
+        return replace(self, G=G, tangents=tangents, scales=scales, names=names, apart=apart)
 
 
 def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: WhitenedRegressors) -> Gram:
@@ -120,8 +118,7 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: W
     return Gram(
         G=G, n=n, log_weight=log_weight, tangents=np.concatenate([c.tangents for c in whitened]),
         scales=np.concatenate([c.scales for c in whitened]), names=tuple(k for c in whitened for k in c.names),
-        units=tuple(u for c in whitened for u in c.units), apart=np.concatenate([c.apart for c in whitened]),
-        s=whitening.s,
+        apart=np.concatenate([c.apart for c in whitened]), s=whitening.s,
     )  # fmt: skip
 
 

@@ -96,7 +96,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     rows = np.array([0] + [1 + k for k in base])
     G[:, :, : rows.size, : rows.size] = point.gram.G[at][:, :, rows[:, None], rows]
     tangents, scales, apart = own.tangents[base], own.scales[base], own.apart[base]
-    names, units = tuple(own.names[k] for k in base), tuple(own.units[k] for k in base)
+    names = tuple(own.names[k] for k in base)
     if extra is not None:
         for number, i in enumerate(at):
             _extend(point, int(i), extra, base, G[number])
@@ -107,8 +107,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     new = () if extra is None else extra.names
     merged = Gram(
         G=G, n=point.gram.n[at], log_weight=point.gram.log_weight[at], tangents=tangents, scales=scales,
-        names=names + new, units=units + (() if extra is None else extra.units), apart=_among(apart, at),
-        s=point.whitening.s,
+        names=names + new, apart=_among(apart, at), s=point.whitening.s,
     )  # fmt: skip
     inside = tuple(int(i) for i in at)
     return Subproblem(
@@ -135,7 +134,7 @@ def with_extra(
     joined = Gram(
         G=G, n=old.n, log_weight=old.log_weight,
         tangents=np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
-        scales=np.concatenate([old.scales, scales]), names=old.names + names, units=old.units + ("N",) * len(names),
+        scales=np.concatenate([old.scales, scales]),  names=old.names + names,
         apart=np.concatenate([old.apart, _among(apart, at)]), s=old.s,
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)

@@ -15,6 +15,7 @@ from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import block_tangents
 from estimator.likelihood.thresholds import LIMITS
 
+from .path_fit import information_inverse
 from .working_point import WorkingPoint
 
 
@@ -24,7 +25,7 @@ def joint_covariance(point: WorkingPoint) -> Array:
     The increments are those of ``point.fit``. The larger of inverse Hessian and sandwich is taken, parameter by
     parameter.
     """
-    bread = _inverse(_joint_hessian(point))
+    bread = information_inverse(_joint_hessian(point))
     influence = _block_scores(point) @ bread  # of each block on each parameter
     expected = np.diag(bread)
     wider = np.ones(expected.size)
@@ -94,10 +95,3 @@ def _add_own_tangents(point: WorkingPoint, scores: Array) -> None:
                 tangents = block_tangents(use, k, data, i)
                 apart = (tangents - tangents.mean(axis=0)) * point.fit.scales[column]
                 scores[:, column] += apart @ response
-
-
-def _inverse(H: Array) -> Array:
-    """H^-1 with eigenvalues, relative to the diagonal, of at least 1e-6."""
-    d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
-    e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
-    return np.asarray(np.multiply.outer(d, d) * ((U / np.maximum(e, 1e-6)) @ U.T))

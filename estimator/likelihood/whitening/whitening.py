@@ -25,14 +25,13 @@ Spectrum = NDArray[np.float32]
 class WhitenedRegressors:
     """Whitened block spectra of k regressors.
 
-    names, units : (k,) of the parameters. scales : (k,) parameter in SI units per scaled unit. tangents : (k, places,
+    names : (k,) of the parameters. scales : (k,) parameter in SI units per scaled unit. tangents : (k, places,
     places, bins) kg, contribution to A per scaled unit. spectra : by place, (regressors there, blocks, 2 bins), real
     and imaginary parts in turn. index : by place, number of the regressor of each row of `spectra`. apart : (k, folds,
     places, places, 2) mean tangent of each fold minus that of the record, per scaled unit.
     """
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
     scales: Array
     tangents: Complexes
     spectra: dict[int, Spectrum]
@@ -142,7 +141,6 @@ class Whitening:
         tangents = self.tangents_to_measured(np.array([regressor_response(t, self.s) for t in regressors]))
         return WhitenedRegressors(
             names=tuple(t.name for t in regressors),
-            units=tuple(t.unit for t in regressors),
             scales=np.array([t.scale for t in regressors]),
             tangents=tangents,
             spectra=spectra,
