@@ -366,13 +366,15 @@ def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
 
 
 def separation_text(ranking: Sequence[Entry]) -> str:
-    """What tells the first from the runner-up, for a person. "A or B" where the record does not."""
+    """What tells the first from the others, for a person. "A or B or C" where the record does not."""
     if len(ranking) < 2:
         return ""
     first, second = ranking[0], ranking[1]
-    ahead = first.gain - second.gain
+    rivals = [e for e in ranking[1:] if e.passed and first.gain - e.gain < THRESHOLDS.rival_nats]
     effect = CATALOGUE.get(first.effect)
     apart = f"; {effect.distinguish}" if effect is not None and second.effect in effect.confused_with else ""
-    if second.passed and ahead < THRESHOLDS.rival_nats:
-        return f"{first.effect} or {second.effect}: the record hardly separates these two ({ahead:.0f} nats){apart}"
+    ahead = first.gain - (rivals or [second])[-1].gain
+    if rivals:
+        names = " or ".join(dict.fromkeys(e.effect for e in (first, *rivals)))
+        return f"{names}: the record hardly separates these ({ahead:.0f} nats){apart}"
     return f"{first.effect} is {ahead:.0f} nats ahead of {second.effect}{apart}"

@@ -106,6 +106,8 @@ def test_two_within_the_resolution_are_both_named(context: Context) -> None:
     passed = judged(entry(), replace(context, fits={"clearance": JointFit(entry=entry(), left_rel=0.0)}))
     second = replace(passed, effect="hertz", gain=passed.gain - THRESHOLDS.rival_nats / 2)
     assert separation_text([passed, second]).startswith("clearance or hertz: ")
+    third = replace(second, effect="cubic")
+    assert separation_text([passed, second, third]).startswith("clearance or hertz or cubic: ")
     assert " or " not in separation_text([passed, replace(second, gates=())]).split(":")[0]
 
 
