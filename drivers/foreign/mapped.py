@@ -102,6 +102,8 @@ class MappedDecoder:
         """Why no sample has come."""
         if self._open is not None and len(self._open) and not self.learned:
             return "too few have come to know their rate"
+        if self._axis.rate_hz is not None and self._axis.held:
+            return "they were held up and come all at once; samples follow when it is clear whether some are missing"
         return nothing_matched(self.plan, dict(self._seen))
 
     def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:

@@ -185,25 +185,33 @@ def replay(
     if stop.event.is_set():
         raise KeyboardInterrupt
     if check and not summary.identical:
-        raise CheckFailed(
-            f"{log}: the estimates of the replay are not the logged ones ({summary.compared} compared); "
-            "the log was made by another version or on another kind of machine"
+        text = (
+            f"the estimates of the replay are not the logged ones ({summary.compared} compared); the log was made by "
+            "another version or on another kind of machine"
         )
+        raise CheckFailed(f"{log}: {_damage(recording)}{text}")
     if check:
         _checked(output, recording, summary.compared)
 
 
+def _damage(recording: Recording) -> str:
+    """That a log is damaged, as the beginning of a message; "" if it is not, or if it was cut."""
+    findings = recording.findings
+    return f"is damaged: {findings.damage[0]}; " if findings.closed and findings.damage else ""
+
+
 def _checked(output: Output, recording: Recording, compared: int) -> None:
     """The estimates came again. Raises CheckFailed if the log is damaged: what is lost cannot have been compared."""
-    log, findings = recording.path, recording.findings
-    if findings.closed and findings.damage:
-        text = f"is damaged: {findings.damage[0]}; its {compared} intact estimates are the logged ones"
-        raise CheckFailed(f"{log}: {text}; `rotorscope recover` says what was lost")
+    log = recording.path
+    if damage := _damage(recording):
+        text = f"its {compared} intact estimates are the logged ones; `rotorscope recover` says what was lost"
+        raise CheckFailed(f"{log}: {damage}{text}")
     output.say(f"{log}: all {compared} estimates are the logged ones, bit for bit")
     if recording.growing:
         output.note(f"{log}: is being written; checked is what it held")
     elif not recording.complete:
-        output.note(f"{log}: is not complete ({findings.damage[0] if findings.damage else 'it has no end'})")
+        why = next(iter(recording.findings.damage), "it has no end")
+        output.note(f"{log}: is not complete ({why})")
 
 
 def _speed(text: str) -> float | None:

@@ -424,3 +424,18 @@ def test_what_came_is_said_when_no_sample_is_complete() -> None:
     decoder = MappedDecoder(LinkStats(), DBC.replace(b" 3;", b" 1;"), signals)
     decoder.feed(CanFrames.build([(0x08F02D0B | EXTENDED_FLAG, bytes(8), 0)]), 0, final=True)
     assert "J1939" in decoder.nothing()
+
+
+def test_frames_that_were_held_up_wait_and_the_reason_is_said() -> None:
+    """Three seconds of frames at once: whether one is missing shows when they come at their pace again."""
+    decoder, prompt = MappedDecoder(LinkStats(), DBC, {"x": "ACS.Lateral"}, Expected(100.0)), range(400)
+    frame = struct.pack("<4H", 32000, 32000, 32000, 0xFFFF)
+    times = [10 * MS * k for k in prompt] + [(6990 + k // 50) * MS for k in range(300)]
+    frames = [(0x08F02D0B | EXTENDED_FLAG, frame, t_ns) for t_ns in times]
+    out = decoder.feed(CanFrames.build(frames[:600]), times[599])
+    assert sum(len(r.counts) for r in out if isinstance(r, Block)) == 400
+    assert "held up" in decoder.nothing()
+    more = [(0x08F02D0B | EXTENDED_FLAG, frame, (7000 + 10 * k) * MS) for k in range(400)]
+    out = decoder.feed(CanFrames.build(frames[600:] + more), more[-1][2])
+    assert sum(len(r.counts) for r in out if isinstance(r, Block)) == 700
+    assert decoder.stats.lost_samples == 0
