@@ -93,7 +93,9 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     good = measured.valid & simulated.valid
     good[:lead] = False
     block = 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0])))
-    rows = (valid_starts(good, block)[:, None] + np.arange(block)).ravel()
+    half = block // 2  # blocks overlap by half
+    starts = np.concatenate([valid_starts(good, block), half + valid_starts(good[half:], block)])
+    rows = (starts[:, None] + np.arange(block)).ravel()
     if not rows.size:
         raise DataError(f"the record is too short for a free run of {lead / rate_hz:.1f} s and what is compared after")
     out = {}
