@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.errors import ModelError
 
-MIN_CHANGE_REL = 1e-3  # of stiffness or damping, that is worth another fit
+from .thresholds import LIMITS
+
 ModeForm = Literal["support", "attached"]
 NO_EQUIVALENT = "no modes under the bearing are equivalent"
 
@@ -166,7 +167,7 @@ class BearingBackground:
         """Whether another background has the same modes, and a bearing as stiff and damped within its certainty."""
         if [m.form for m in self.modes] != [m.form for m in other.modes]:
             return False
-        stiffness_sd, damping_sd = np.hypot([self.stiffness_sd_rel, self.damping_sd_rel], MIN_CHANGE_REL)
+        stiffness_sd, damping_sd = np.hypot([self.stiffness_sd_rel, self.damping_sd_rel], LIMITS.min_change_rel)
         return bool(
             abs(self.stiffness / other.stiffness - 1.0) < 0.5 * stiffness_sd
             and abs(self.damping / other.damping - 1.0) < 0.5 * damping_sd

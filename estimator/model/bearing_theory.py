@@ -24,8 +24,7 @@ from estimator.results import Fit, Parameter
 
 from .hertz_contact import PointContact, load_deflection, raceways
 from .rig import BearingGeometry, Model
-
-PRELOADS_M = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +317,7 @@ def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | Non
         raise DataError("rig.bearing: no geometry; give balls, ball_diameter_mm, pitch_diameter_mm, groove_radius_mm")
     if preloads is None:
         own = () if bearing.preload is None else (bearing.preload,)
-        preloads = sorted({round(g, 12) for g in (*PRELOADS_M, *own)})
+        preloads = sorted({round(g, 12) for g in (*LIMITS.preloads_m, *own)})
     inner, outer = raceways(bearing)
     rows = tuple(_fitted(bearing, _of_model(model) if fit is None else fit.parameters))
     curves = tuple(curve(bearing, g) for g in preloads)

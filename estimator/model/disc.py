@@ -10,15 +10,7 @@ from estimator.arrays import Array, Complexes
 
 from .rig import Model, Shaft
 from .rotor import shaft_at_caps, shaft_matrix
-
-HARMONIC_COUNT = 4  # of the shaft's turns to either side
-# The disc is damped by this share of critical at least, along the path: what happened before the record or in a gap
-# dies out, and the filters' remainder of its resonance makes no sidebands.
-MIN_DAMPING_RATIO = 0.003
-COARSE_DAMPING_RATIO = 0.03  # of a coarse fit, which is linear in the damping
-# Range of the disc's resonance in which a breathing shaft is not judged: the caps hardly move there, and aliased noise
-# biases the likelihood.
-NEAR_RESONANCE_REL = 0.6, 1.4
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +33,13 @@ class Disc:
     @property
     def comb_hz(self) -> tuple[float, float]:
         """Where a model whose shaft breathes is not judged."""
-        return NEAR_RESONANCE_REL[0] * self.w0 / (2 * np.pi), NEAR_RESONANCE_REL[1] * self.w0 / (2 * np.pi)
+        return LIMITS.near_resonance_rel[0] * self.w0 / (2 * np.pi), LIMITS.near_resonance_rel[1] * self.w0 / (
+            2 * np.pi
+        )
 
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""
-        return replace(self, C=max(self.C, 2.0 * COARSE_DAMPING_RATIO * float(np.sqrt(self.K * self.m))))
+        return replace(self, C=max(self.C, 2.0 * LIMITS.coarse_damping_ratio * float(np.sqrt(self.K * self.m))))
 
     def dynamic(self, w: Array) -> Complexes:
         """(f,) N/m at w rad/s."""
@@ -73,7 +67,7 @@ class Disc:
         returned = np.zeros(w.shape, complex)
         for turn in (speed, -speed):
             tail = np.zeros(w.shape, complex)
-            for k in range(HARMONIC_COUNT, 0, -1):
+            for k in range(LIMITS.harmonic_count, 0, -1):
                 tail = abs(first) ** 2 / (self.dynamic(w + k * turn) - mean - tail)
             beside += tail
             there = w + turn
@@ -92,5 +86,5 @@ def disc_of(model: Model) -> Disc | None:
     if model.shaft not in ("chain", "beam") or m <= 0.0 or ks <= 0.0:
         return None
     own = float(shaft_matrix(model.shaft, 1.0)[2, 2])
-    C = max(own * cs, 2.0 * MIN_DAMPING_RATIO * float(np.sqrt(own * ks * m)))
+    C = max(own * cs, 2.0 * LIMITS.min_damping_ratio * float(np.sqrt(own * ks * m)))
     return Disc(shaft=model.shaft, ks=ks, cs=cs, m=m, C=C, K=own * ks)

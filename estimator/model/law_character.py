@@ -15,14 +15,13 @@ import numpy as np
 
 from estimator.arrays import Array
 
+from .thresholds import LIMITS
+
 if TYPE_CHECKING:
     from .effect import EffectParameter
 
 State = Literal["displacement", "velocity", "both", "directions", "time", "shaft_angle", "none"]
 Force = Callable[..., float]
-
-N_STATES = 40  # random states that a law is evaluated at
-TOLERANCE_REL = 1e-9  # of the largest force: a smaller difference is rounding
 
 
 def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> State:
@@ -65,14 +64,14 @@ def _dependence(force: Force, parameters: tuple[EffectParameter, ...], one_direc
 
 
 def _states(parameters: Sequence[EffectParameter], one_direction: bool) -> Array:
-    """(N_STATES, 6) x, v, xo, vo in natural sizes or SI, as the parameters are; t in s; phase in rad."""
+    """(n_states, 6) x, v, xo, vo in natural sizes or SI, as the parameters are; t in s; phase in rad."""
     lengths, speeds = (
         [abs(q.default) for q in parameters if not q.linear and q.unit == unit and q.default] for unit in ("m", "m/s")
     )
     x, v = 4.0 * max(lengths, default=2e-7), 4.0 * max(speeds, default=2e-3)
     across = (0.0, 0.0) if one_direction else (x, v)
     low = np.array([-x, -v, -across[0], -across[1], 0.0, 0.0])
-    return np.random.default_rng(0).uniform(low, [x, v, *across, 60.0, 1000.0], (N_STATES, 6))
+    return np.random.default_rng(0).uniform(low, [x, v, *across, 60.0, 1000.0], (LIMITS.n_states, 6))
 
 
 def _forces(force: Force, parameters: Sequence[EffectParameter], states: Array) -> Array:
@@ -94,4 +93,4 @@ def _same(a: Array, b: Array) -> bool:
     finite = np.isfinite(a) & np.isfinite(b)
     a, b = np.where(finite, a, 0.0), np.where(finite, b, 0.0)
     largest = np.maximum(np.abs(a), np.abs(b)).max(axis=0)
-    return bool(np.all(np.abs(a - b).max(axis=0) <= TOLERANCE_REL * largest))
+    return bool(np.all(np.abs(a - b).max(axis=0) <= LIMITS.tolerance_rel * largest))

@@ -10,11 +10,9 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 
+from .thresholds import LIMITS
+
 AntiAliasKind = Literal["butterworth", "bessel", "chebyshev1", "chebyshev2", "fir"]
-PASS_BAND_RIPPLE_DB = 0.5  # of a chebyshev1 filter, if the rig file says nothing: usual in data sheets
-STOP_BAND_LOSS_DB = 60.0  # of a chebyshev2 filter, if the rig file says nothing
-MAX_ALIASED_POWER_SHARE = 0.01  # of the power at a frequency, from beyond half the rate: 10 % in amplitude
-TRUST_GRID_POINTS = 2000  # frequencies at which the aliased share is evaluated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +53,11 @@ class AntiAlias:
 
         The acceleration is taken as white there, as above all resonances under a white force.
         """
-        f: Array = np.linspace(0.0, 0.5 * rate_hz, TRUST_GRID_POINTS)
+        f: Array = np.linspace(0.0, 0.5 * rate_hz, LIMITS.trust_grid_points)
         if self.kind == "fir":  # works on the samples: what is folded is folded before it
             return 0.5 * rate_hz
         true, aliased = (np.abs(self.response(z, rate_hz)) ** 2 for z in (f, rate_hz - f))
-        beyond = np.flatnonzero(aliased > MAX_ALIASED_POWER_SHARE * true)
+        beyond = np.flatnonzero(aliased > LIMITS.max_aliased_power_share * true)
         return float(f[beyond[0]]) if beyond.size else 0.5 * rate_hz
 
 
@@ -75,9 +73,13 @@ def _zeros_and_poles(own: AntiAlias) -> tuple[Complexes, Complexes]:
     elif own.kind == "butterworth":
         zeros, poles, _ = signal.butter(own.order, w, analog=True, output="zpk")
     elif own.kind == "chebyshev1":
-        zeros, poles, _ = signal.cheby1(own.order, own.ripple_db or PASS_BAND_RIPPLE_DB, w, analog=True, output="zpk")
+        zeros, poles, _ = signal.cheby1(
+            own.order, own.ripple_db or LIMITS.pass_band_ripple_db, w, analog=True, output="zpk"
+        )
     else:
-        zeros, poles, _ = signal.cheby2(own.order, own.ripple_db or STOP_BAND_LOSS_DB, w, analog=True, output="zpk")
+        zeros, poles, _ = signal.cheby2(
+            own.order, own.ripple_db or LIMITS.stop_band_loss_db, w, analog=True, output="zpk"
+        )
     return np.asarray(zeros, complex), np.asarray(poles, complex)
 
 

@@ -17,12 +17,8 @@ from scipy.linalg import block_diag, eigh
 from estimator.arrays import Array, Complexes
 from estimator.errors import ModelError
 
-SAME_POLE_REL = 1e-9  # of their size: poles that are one, such as those of the two directions
-MIN_TERM_REL = 1e-9  # of the largest part of a pole's term, the least that counts
-# modes of the shaft with its bearings and discs held are kept up to this multiple of the highest frequency of interest:
-# Craig and Bampton, AIAA J. 6(7), 1968, 1313-1319; 1.5 to 2 is the usual rule
-MODES_UP_TO_REL = 3.0
-MIN_MODE_REL = 1e-8  # square of the lowest held mode over that of the highest: a smaller one is a free motion
+from .thresholds import LIMITS
+
 Term = tuple[Array, Callable[[Array], Complexes]]
 
 
@@ -158,7 +154,7 @@ class Rotor:
         found: list[float] = []
         for p in sorted(self._modes[0][self._modes[0].imag > 0.0], key=abs):
             hz = float(abs(p)) / (2 * np.pi)
-            if not found or hz > (1.0 + SAME_POLE_REL) * found[-1]:
+            if not found or hz > (1.0 + LIMITS.same_pole_rel) * found[-1]:
                 found.append(hz)
         return tuple(found)
 
@@ -193,14 +189,14 @@ class Rotor:
         done = p.imag < 0.0
         while not done.all():
             pole = p[np.argmin(done)]
-            same = (np.abs(p - pole) <= SAME_POLE_REL * abs(pole)) & ~done
+            same = (np.abs(p - pole) <= LIMITS.same_pole_rel * abs(pole)) & ~done
             done |= same
             own = R[same].sum(axis=0)
             parts = own.real, 0.0 * own.real
             if pole.imag > 0.0:
                 parts = -2.0 * (own * pole.conj()).real, 2.0 * abs(pole) * own.real
             U, sizes, V = np.linalg.svd(np.stack([z.ravel() for z in parts], axis=1), full_matrices=False)
-            for k in np.flatnonzero(sizes > MIN_TERM_REL * sizes[0]):
+            for k in np.flatnonzero(sizes > LIMITS.min_term_rel * sizes[0]):
                 out.append((sizes[k] * U[:, k].reshape(own.shape), _second_order(complex(pole), V[k])))
         return tuple(out)
 
@@ -256,7 +252,7 @@ def reduced_rotor(
     for d, plane in planes.items():
         loose = [i for i in plane if i not in [nodes[name][d] for name in bearings]]
         p = eigh(K[np.ix_(loose, loose)], M[np.ix_(loose, loose)], eigvals_only=True) if loose else np.ones(1)
-        if p[0] < MIN_MODE_REL * p[-1]:
+        if p[0] < LIMITS.min_mode_rel * p[-1]:
             raise ModelError("the rotor turns freely while its bearings are held: name two bearings at least")
         held = [nodes[name][d] for name in nodes]
         inner = [i for i in plane if i not in held]
@@ -267,7 +263,7 @@ def reduced_rotor(
             Kii = K[np.ix_(inner, inner)]
             p, shapes = eigh(Kii, M[np.ix_(inner, inner)])
             T[inner] = -np.linalg.solve(Kii, K[np.ix_(inner, held)])
-            kept = shapes[:, p < (2 * np.pi * MODES_UP_TO_REL * highest_hz) ** 2]
+            kept = shapes[:, p < (2 * np.pi * LIMITS.modes_up_to_rel * highest_hz) ** 2]
             modes = np.zeros((len(M), kept.shape[1]))
             modes[inner] = kept
             T = np.hstack([T, modes])

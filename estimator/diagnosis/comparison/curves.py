@@ -23,11 +23,9 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
 from .shape import Shape, limits_95
+from .thresholds import LIMITS
 
-MEAN_SECONDS = 5.0  # of the record that conditional means are taken over
 CURVE_STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
-INNER_RMS = 0.75  # rms of displacement that the straight line of small motion is drawn through
-TURN_ORDERS = (1.0, 2.0)  # orders that repeat with every turn
 ANGLES_DEG = np.arange(0.0, 361.0, 15.0)
 
 
@@ -56,7 +54,7 @@ def curves(
 
     channel : name by place. orders : of the shaft, as the survey had them.
     """
-    data = leading_blocks(point.data, MEAN_SECONDS)
+    data = leading_blocks(point.data, LIMITS.mean_seconds)
     rows = _rows(point, data.start)
 
     def at(residual: PlaceResidual) -> tuple[list[Shape], list[Law]]:
@@ -146,7 +144,7 @@ def _of_hats(
     x = knots[inside]
     shape = Shape.from_estimate(channel, state, x, force=force, sd=sd)
 
-    near = np.where(np.abs(knots) <= INNER_RMS * rms, visits, 0.0) if x_state else visits
+    near = np.where(np.abs(knots) <= LIMITS.inner_rms * rms, visits, 0.0) if x_state else visits
     line = _without(np.column_stack([np.ones_like(knots), knots]), near)
     total = line @ to_total
     whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
@@ -179,7 +177,7 @@ def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, a
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:
     """Force at one rms of displacement, over a turn: a stiffness that turns with the shaft."""
     angle = np.radians(ANGLES_DEG)
-    kept = [k for k, order in enumerate(orders) if order in TURN_ORDERS]
+    kept = [k for k, order in enumerate(orders) if order in LIMITS.turn_orders]
     A = np.column_stack([w(orders[k] * angle) for k in kept for w in (np.cos, np.sin)])
     own = [names[2 * k + j] for k in kept for j in (0, 1)]
     return _linear(fit, own, A, ANGLES_DEG, channel, "shaft_angle")

@@ -20,10 +20,7 @@ from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
 from estimator.signals.channel_response import anti_alias_response
 
-OVERSAMPLE_FACTOR = 8
-SETTLE_DECAY_TIMES = 12.0  # decay times until the start from rest is forgotten
-CHUNK_S = 4.0
-BLOCK_CYCLES = 32.0  # of the lower band edge in a block of the spectrum of the error
+from .thresholds import LIMITS
 
 
 def resampled(z: Array, size: int, shift: float) -> Array:
@@ -48,25 +45,29 @@ def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Arra
     channels = tuple(model.channels[c] for c in motion_channels(model))
     plan = simulation_plan(replace(model, channels=channels))
     speed = ShaftSpeed(model.speed_rpm) if model.speed_rpm is not None else None
-    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE_FACTOR), speed)
-    stepper.count = first * OVERSAMPLE_FACTOR
+    stepper = Stepper(plan, 1.0 / (rate_hz * LIMITS.oversample_factor), speed)
+    stepper.count = first * LIMITS.oversample_factor
     slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]
     out = np.empty_like(force)
-    pad, chunk = int(0.25 * rate_hz), int(CHUNK_S * rate_hz)
+    pad, chunk = int(0.25 * rate_hz), int(LIMITS.chunk_s * rate_hz)
     n = force.shape[1]
-    whole = np.empty((len(channels), n * OVERSAMPLE_FACTOR))
+    whole = np.empty((len(channels), n * LIMITS.oversample_factor))
     for a in range(0, n, chunk):
         lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
-        fine = resampled(force[:, lo:hi], (hi - lo) * OVERSAMPLE_FACTOR, 0.5)
-        part = fine[:, (a - lo) * OVERSAMPLE_FACTOR : (end - lo) * OVERSAMPLE_FACTOR]
+        fine = resampled(force[:, lo:hi], (hi - lo) * LIMITS.oversample_factor, 0.5)
+        part = fine[:, (a - lo) * LIMITS.oversample_factor : (end - lo) * LIMITS.oversample_factor]
         F = np.zeros((part.shape[1], stepper.slots.count))
         F[:, slots] = part.T
         steps = np.empty((len(channels), part.shape[1]))
         stepper.step(F, steps)
-        whole[:, a * OVERSAMPLE_FACTOR : end * OVERSAMPLE_FACTOR] = steps
+        whole[:, a * LIMITS.oversample_factor : end * LIMITS.oversample_factor] = steps
     for a in range(0, n, chunk):
         lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
-        part = resampled(whole[:, lo * OVERSAMPLE_FACTOR : hi * OVERSAMPLE_FACTOR], hi - lo, -0.5 / OVERSAMPLE_FACTOR)
+        part = resampled(
+            whole[:, lo * LIMITS.oversample_factor : hi * LIMITS.oversample_factor],
+            hi - lo,
+            -0.5 / LIMITS.oversample_factor,
+        )
         out[:, a:end] = part[:, a - lo : end - lo]
     return out
 
@@ -83,7 +84,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     P = len(motions)
     if len(forces) < P:
         raise DataError("a free run needs a measured force at every place: add channels of kind force")
-    lead = int(SETTLE_DECAY_TIMES * decay_s * rate_hz)
+    lead = int(LIMITS.settle_decay_times * decay_s * rate_hz)
     start = max(int(first * len(y)) - lead, 0)
     used = [*motions, *(forces[i] for i in range(P))]
     kinds = [model.channels[c].kind for c in used]
@@ -92,7 +93,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
     good = measured.valid & simulated.valid
     good[:lead] = False
-    block = 1 << int(np.ceil(np.log2(BLOCK_CYCLES * rate_hz / model.band[0])))
+    block = 1 << int(np.ceil(np.log2(LIMITS.block_cycles * rate_hz / model.band[0])))
     half = block // 2  # blocks overlap by half
     starts = np.concatenate([valid_starts(good, block), half + valid_starts(good[half:], block)])
     rows = (starts[:, None] + np.arange(block)).ravel()

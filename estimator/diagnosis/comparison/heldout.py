@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import DataError, ModelError
@@ -18,7 +17,8 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import corrected_record
 
-SPECTRUM_CELLS = 40
+from .thresholds import LIMITS
+
 FITTED_SHARE = 0.7  # of a record with a measured force; the rest is simulated
 
 
@@ -98,33 +98,19 @@ def reference_nll(point: WorkingPoint, found: MissingForce, nll: float) -> float
     return nll - gained / samples
 
 
-def cells(bins: int, count: int = SPECTRUM_CELLS) -> NDArray[np.int64]:
-    """First bins of cells of about equal width in log frequency, at least 4 bins each."""
-    edges = np.unique(np.round(np.geomspace(8, bins, count + 1)).astype(np.int64))
-    return np.concatenate([[0], edges[:-1]])
-
-
-def cell_powers(point: WorkingPoint, i: int) -> tuple[Array, Array, NDArray[np.int64]]:
-    """(folds, cells) mean |F|^2 W of place i relative to its S, (folds, cells) number of bins, first bins."""
+def _free_spectrum_gain(point: WorkingPoint, i: int) -> float:
+    """Nats on held-out folds of a force spectrum that is free in cells of about equal width in log frequency."""
     data = point.data
     Z = point.spectra[i].reshape(data.blocks, -1, 2)
     power = np.einsum("bkc,bkc->bk", Z, Z).astype(np.float64) / point.S[i]
-    first = cells(power.shape[1])
-    width = np.diff(np.append(first, power.shape[1]))
+    bins = power.shape[1]
+    edges = np.unique(np.round(np.geomspace(8, bins, LIMITS.spectrum_cells + 1)).astype(np.int64))
+    first = np.concatenate([[0], edges[:-1]])
     sums = np.add.reduceat(power, first, axis=1)
-    folded = np.stack([sums[data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
-    n = np.outer(data.fold_blocks, width)
-    return folded / n, n, first
-
-
-def _free_spectrum_gain(point: WorkingPoint, i: int) -> float:
-    """Nats on held-out folds of a free force spectrum over the white one."""
-    ratio, n, _ = cell_powers(point, i)
+    by_fold = np.stack([sums[data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
+    n = np.outer(data.fold_blocks, np.diff(np.append(first, bins)))
     total = 0.0
-    for f in range(TIME_FOLDS):
-        rest = [k for k in range(TIME_FOLDS) if k != f]
-        trained = (ratio[rest] * n[rest]).sum(axis=0) / n[rest].sum(axis=0)
-        flat = (ratio[rest] * n[rest]).sum() / n[rest].sum()
-        here = ratio[f] * n[f]
-        total += float(np.sum(here / flat + n[f] * np.log(flat) - here / trained - n[f] * np.log(trained)))
+    for here, count, rest, others in zip(by_fold, n, by_fold.sum(axis=0) - by_fold, n.sum(axis=0) - n, strict=True):
+        trained, flat = rest / others, rest.sum() / others.sum()
+        total += float(np.sum(here / flat + count * np.log(flat) - here / trained - count * np.log(trained)))
     return total

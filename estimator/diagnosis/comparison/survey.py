@@ -17,7 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
 
-MAX_HIDDEN_FORCE_PERCENT = 3.0  # of the bearing force: the least effect that users are promised to be told
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class BearingSurvey:
         if loose:
             text = f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer, or add a channel at the other bearing")
-        if hidden > MAX_HIDDEN_FORCE_PERCENT:
+        if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
         return None

@@ -17,9 +17,7 @@ from estimator.signals.band_limit import noise_shape
 from estimator.simulation.simulator import simulate
 
 from .free_run import free_run
-
-TWIN_SECONDS = 5.0
-SETTLE_SECONDS = 2.0  # from rest, under a measured force
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +47,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         if data.measured_force:
             y = _driven(model, record, data.rate_hz)
         else:
-            y = simulate(model, data.rate_hz, TWIN_SECONDS, seed=11)
+            y = simulate(model, data.rate_hz, LIMITS.twin_seconds, seed=11)
     except ModelError as problem:
         return Twin(message=f"no simulated twin: {problem}")
     if not np.isfinite(y).all():
@@ -97,12 +95,12 @@ def _driven(model: Model, record: Array, rate_hz: float) -> Array:
     if not force.keys() >= set(model.places):
         raise ModelError("a force is measured at some places only")
     whole = np.isfinite(record).all(axis=1)
-    rows = int((SETTLE_SECONDS + TWIN_SECONDS) * rate_hz)
+    rows = int((LIMITS.settle_seconds + LIMITS.twin_seconds) * rate_hz)
     longest = max(np.split(np.arange(len(record)), np.flatnonzero(~whole)), key=len)[-rows:]
     y = record[longest[np.isfinite(record[longest]).all(axis=1)]].copy()
     moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind != "force") for p in model.places]
     y[:, moving] = free_run(model, np.ascontiguousarray(y[:, [force[p] for p in model.places]].T), rate_hz).T
-    return y[int(SETTLE_SECONDS * rate_hz) :]
+    return y[int(LIMITS.settle_seconds * rate_hz) :]
 
 
 def _density(x: Series, at: Array) -> Array:

@@ -31,11 +31,9 @@ from estimator.results import Fit, Message, Parameter
 
 from .planes import Plane
 from .score_matching import density_fit
+from .thresholds import LIMITS
 
 Form = Literal["midpoint", "response"]
-BOOTSTRAP_BLOCKS = 64  # of the record, drawn with replacement
-MIN_COUNTS = 30  # of a cell that is used
-GRID_HALF_WIDTH_RMS = 4.5  # of the displacement
 CELL_WIDTH_RMS = {1: 0.15, 2: 0.3}  # of the displacement, for one and two caps
 GAUSS_QUADRATURE = (
     np.array([-(0.6**0.5), 0.0, 0.6**0.5]),
@@ -63,7 +61,7 @@ class Histogram:
     rows: Array
 
 
-def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BOOTSTRAP_BLOCKS) -> Histogram:
+def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = LIMITS.bootstrap_blocks) -> Histogram:
     """Histogram of displacements x (n, caps), m, over +- 4.5 rms; v : (n, caps) velocities, m/s.
 
     cell : cell width in rms of the displacement; None: by the number of caps.
@@ -71,7 +69,7 @@ def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BOOTS
     n, caps = x.shape
     sigma = np.std(x, axis=0)
     width = (CELL_WIDTH_RMS[caps] if cell is None else cell) * float(sigma.min())
-    half = np.minimum(np.ceil(GRID_HALF_WIDTH_RMS * sigma / width).astype(np.int64), 60)
+    half = np.minimum(np.ceil(LIMITS.grid_half_width_rms * sigma / width).astype(np.int64), 60)
     widths = np.full(caps, width)  # one width for both axes, as in the paper
     at = np.floor(x / widths).astype(np.int64) + half
     inside = ((at >= 0) & (at < 2 * half)).all(axis=1)
@@ -112,7 +110,7 @@ def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array,
     """Differences of the potentials over every axis step, of bearings (r, p) and shaft (r,); scales (p,)."""
     phi, shaft = potentials(plane, grid.centres)
     here, there = neighbouring_cells(grid.shape)
-    sigma = grid.widths * np.array(grid.shape) / (2.0 * GRID_HALF_WIDTH_RMS)
+    sigma = grid.widths * np.array(grid.shape) / (2.0 * LIMITS.grid_half_width_rms)
     scale = np.array([sigma[i] ** (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers])
     return phi[there] - phi[here], shaft[there] - shaft[here], scale
 
@@ -164,11 +162,15 @@ def _density_slopes(
     drop = logs[here] - logs[there]  # = (V' - V)/T
 
     def kept(expected: Array) -> NDArray[np.bool_]:
-        keep = (np.minimum(expected[here], expected[there]) >= MIN_COUNTS) & (counts[here] > 0) & (counts[there] > 0)
+        keep = (
+            (np.minimum(expected[here], expected[there]) >= LIMITS.min_counts)
+            & (counts[here] > 0)
+            & (counts[there] > 0)
+        )
         if keep.sum() < 4 * (terms.shape[1] + 1):
             raise DataError(
-                f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold {MIN_COUNTS} counts: "
-                "record longer"
+                f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold "
+                f"{LIMITS.min_counts} counts: record longer"
             )
         return keep
 
@@ -257,11 +259,13 @@ def fokker_planck_parameters(
     if len(plane.caps) == 2 and not plane.scale_from_shaft:
         return _uncoupled_parameters(plane, x, v, form, replicates, seed)
     grid = histogram(x, v)
-    values = _parameter_values(plane, grid, np.ones(BOOTSTRAP_BLOCKS), form)
+    values = _parameter_values(plane, grid, np.ones(LIMITS.bootstrap_blocks), form)
     rng = np.random.default_rng(seed)
     draws = []
     for _ in range(replicates):
-        weights = rng.multinomial(BOOTSTRAP_BLOCKS, np.full(BOOTSTRAP_BLOCKS, 1.0 / BOOTSTRAP_BLOCKS)).astype(float)
+        weights = rng.multinomial(
+            LIMITS.bootstrap_blocks, np.full(LIMITS.bootstrap_blocks, 1.0 / LIMITS.bootstrap_blocks)
+        ).astype(float)
         draws.append(_parameter_values(plane, grid, weights, form))
     covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
     if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:

@@ -27,9 +27,9 @@ from estimator.results import Parameter
 
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
+from .thresholds import LIMITS
 
 Form = Literal["velocity", "density"]
-EDGE_SD_REL = 3e-3  # of kL: what the band limit leaves out of E[x F], over k E[x^2], on rigs with 8 kHz of band
 
 
 class PlaneMoments:
@@ -104,7 +104,7 @@ class PlaneMoments:
             values, covariance = self.values()
         except np.linalg.LinAlgError:
             return self.plane.undetermined("the displacement takes too few values to tell x from its powers")
-        edge = np.array([EDGE_SD_REL * values[n] if n.endswith(".kL") else 0.0 for n in self.names])
+        edge = np.array([LIMITS.edge_sd_rel * values[n] if n.endswith(".kL") else 0.0 for n in self.names])
         sds = np.sqrt(np.maximum(np.diag(covariance), 0.0) + edge**2)
         return self.plane.judged({n: (values[n], float(sd)) for n, sd in zip(self.names, sds, strict=True)})
 

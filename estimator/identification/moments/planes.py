@@ -22,7 +22,8 @@ from estimator.errors import ModelError
 from estimator.model.rig import CAP_DIRECTIONS, Model
 from estimator.results import Parameter
 
-MAX_SHAFT_MASS_SD_REL = 0.25  # of a mass that the shaft gives: four standard deviations
+from .thresholds import LIMITS
+
 POWER_EFFECTS = {name: (n, e.parameters[0].name) for name, e in CATALOGUE.items() if (n := e.power)}
 POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 
@@ -112,7 +113,7 @@ class Plane:
         deviations: the quotient ks/(ks/T) is large by chance where its denominator is small.
         """
         masses = [found[f"{cap.place}.m"] for cap in self.caps if f"{cap.place}.m" in found]
-        weak = any(not (value > 0.0 and sd <= MAX_SHAFT_MASS_SD_REL * value) for value, sd in masses)
+        weak = any(not (value > 0.0 and sd <= LIMITS.max_shaft_mass_sd_rel * value) for value, sd in masses)
         out = {}
         for name in self.names(solved_only=False):
             if name not in found:

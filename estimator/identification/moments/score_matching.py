@@ -17,7 +17,9 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
-from estimator.model.rig import MOTION_UNITS, Model
+from estimator.likelihood.motion.force_balance import motion_channels
+from estimator.likelihood.motion.prepare import check_moves, check_shape
+from estimator.model.rig import Model
 from estimator.results import Estimate, Fit, Message, Parameter
 from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
@@ -26,20 +28,9 @@ from .plane_moments import Form, PlaneMoments
 from .planes import Plane, density_band, ignored_effects, planes_of
 from .stationary import check_resonance, density_messages, softening_message
 from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
+from .thresholds import LIMITS
 
 LEFT_OUT_REASON = "score matching leaves it out: use the spectral method"
-MIN_ROWS = 4096  # of a fit
-RESONANCE_CHECK_S = 0.5  # of motion, to look for a resonance
-FIT_BLOCKS = 64  # of a record: the standard deviations have an error of 9 %
-
-
-def motion_columns(model: Model) -> tuple[int, ...]:
-    """Column in the data of the motion channel of each of `model.places` (the first, if there are several)."""
-    columns = []
-    for place in model.places:
-        found = [i for i, c in enumerate(model.channels) if c.place == place and c.kind in MOTION_UNITS]
-        columns.append(found[0])
-    return tuple(columns)
 
 
 class RollingScoreMatching:
@@ -78,7 +69,7 @@ class RollingScoreMatching:
         if not time_constant_s > 0.0:
             raise ValueError(f"time constant {time_constant_s} s must be positive")
         self.model = model
-        self._columns = list(motion_columns(model))
+        self._columns = motion_channels(model)
         kinds = [model.channels[i].kind for i in self._columns]
         undone = anti_alias_response(model, rate_hz)
         self._stream = BandLimit(kinds, rate_hz, density_band(model)[0], undone=undone)
@@ -86,7 +77,7 @@ class RollingScoreMatching:
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((2, len(kinds), 0))
-        self._recent: deque[Array] = deque(maxlen=max(1, round(RESONANCE_CHECK_S * rate_hz / self._rows)))
+        self._recent: deque[Array] = deque(maxlen=max(1, round(LIMITS.resonance_check_s * rate_hz / self._rows)))
         self._missing = "warming up"  # status while no resonance has been found; empty afterwards
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
@@ -113,7 +104,7 @@ class RollingScoreMatching:
         self._index += used
 
     def _look_for_resonance(self, v: Array) -> None:
-        """Check for a resonance once RESONANCE_CHECK_S of motion is there. v : (places, rows) of one block, m/s."""
+        """Check for a resonance once resonance_check_s of motion is there. v : (places, rows) of one block, m/s."""
         if not np.isfinite(v).all():
             return
         self._recent.append(v)
@@ -142,7 +133,7 @@ class RollingScoreMatching:
         """The estimate up to the last complete internal block."""
         parameters: dict[str, Parameter] = {}
         rows = min((m.moments.rows for m, _ in self._planes), default=0.0)
-        if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < MIN_ROWS / 4:
+        if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < LIMITS.min_rows / 4:
             return Estimate(self._index, parameters, rows, status="warming up")
         if self._missing:
             return Estimate(self._index, parameters, rows, status=self._missing)
@@ -173,7 +164,7 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     """
 
     def parameters(plane: Plane, x: Array, v: Array) -> tuple[dict[str, Parameter], list[Message]]:
-        moments, size = PlaneMoments(plane, form), max(1, len(x) // FIT_BLOCKS)
+        moments, size = PlaneMoments(plane, form), max(1, len(x) // LIMITS.fit_blocks)
         for first in range(0, len(x), size):
             moments.add(x[first : first + size], v[first : first + size])
         return moments.parameters(), []
@@ -213,22 +204,17 @@ def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array
     Raises DataError if the record does not fit the model, a channel does not move, too few rows are valid, or no
     resonance is in the band.
     """
-    if y.ndim != 2 or y.shape[1] != len(model.channels):
-        raise DataError(f"the record has shape {y.shape}, the rig has {len(model.channels)} channels")
-    if not model.places:
-        raise DataError("no channel of kind acceleration, velocity or displacement at a bearing: nothing to fit")
-    columns = list(motion_columns(model))
+    y = check_shape(model, y)
+    columns = motion_channels(model)
     kinds = [model.channels[i].kind for i in columns]
     for i in columns:
-        finite = y[np.isfinite(y[:, i]), i]
-        if finite.size and np.ptp(finite) == 0.0:
-            raise DataError(f"channel {model.channels[i].name} is constant ({finite[0]:g}): check sensor and cable")
+        check_moves(model.channels[i].name, y[np.isfinite(y[:, i]), i])
     band, _ = density_band(model)
     motion = band_limit(y[:, columns], kinds, rate_hz, band, undone=anti_alias_response(model, rate_hz))
     usable = int(motion.valid.sum())
-    if usable < MIN_ROWS:
+    if usable < LIMITS.min_rows:
         raise DataError(
-            f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {MIN_ROWS} needed: "
+            f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {LIMITS.min_rows} needed: "
             "record longer, or widen the band at its low end"
         )
     parts = np.concatenate([motion.x, motion.v]).T

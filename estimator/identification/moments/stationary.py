@@ -18,8 +18,7 @@ from estimator.results import Message, Parameter
 
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
-
-DIAGNOSTIC_BLOCKS = 64  # of a record, for the sampling error
+from .thresholds import LIMITS
 
 
 def barrier(kL: float, kNL: float, temperature: float) -> float:
@@ -69,7 +68,7 @@ class Diagnostic:
         return (self.value - self.expected) / self.sd if self.sd > 0.0 else 0.0
 
 
-def _block_moments(rows: Array, blocks: int = DIAGNOSTIC_BLOCKS) -> BlockMoments:
+def _block_moments(rows: Array, blocks: int = LIMITS.diagnostic_blocks) -> BlockMoments:
     """Batch means of the columns of rows (n, K)."""
     moments = BlockMoments(rows.shape[1])
     size = max(1, len(rows) // blocks)

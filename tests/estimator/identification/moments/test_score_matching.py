@@ -115,7 +115,7 @@ def test_bad_records_are_named(record: np.ndarray) -> None:
         fit_score_matching(rig(band=(2500.0, 8000.0)), record, RATE)
     with pytest.raises(DataError, match="2 channels"):
         fit_score_matching(rig(), record[:, :1], RATE)
-    with pytest.raises(DataError, match="usable samples"):
+    with pytest.raises(DataError, match="no valid samples"):
         fit_score_matching(rig(), np.full_like(record, np.nan), RATE)
     holes = record.copy()
     holes[::500] = np.nan
