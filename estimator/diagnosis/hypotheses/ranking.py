@@ -340,9 +340,7 @@ def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
         if q.linear:
             value, sd = t.values.get(q.name, (0.0, 0.0))
             if q.name not in t.values:
-                out[name] = Parameter(
-                    value=None, sd=None, unit=q.unit, identifiable=False, reason="at the limit of its range: not needed"
-                )
+                out[name] = Parameter(value=None, sd=None, unit=q.unit, identifiable=False, reason="not needed")
                 continue
             out[name] = Parameter.from_estimate(value, sd, q.unit)
         elif not t.placed.free[k]:

@@ -149,7 +149,9 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
         key=placed.key,
         at=placed.at,
         p=p,
-        free=tuple(q.linear or k in loose for k, q in enumerate(effect.parameters)),
+        free=tuple(
+            (q.linear and (q.share > 0.0 or q.name in values)) or k in loose for k, q in enumerate(effect.parameters)
+        ),
     )
     df = max(len(problem.extra) + len(loose), 1)
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says

@@ -13,12 +13,14 @@ from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
 from estimator.likelihood.whitening.whitening import WhitenedRegressors
+from estimator.model.effect import EffectParameter
 
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(TIME_FOLDS)
+OPTIONAL_COST_NATS = 1.5  # what an idle parameter gains held in and loses held out
 MIN_OWN_VALUES_GAIN_NATS = 2.0  # by searched parameters of one location alone; about the price of a parameter
 
 
@@ -77,6 +79,9 @@ def fitted_gain(
 ) -> LawGain | None:
     """The gain of a law at given searched parameters, its amplitudes within their limits.
 
+    An amplitude that most such laws do without is left out where it gains less than it costs: beside it the others are
+    poorly known where no data are, as a curvature beside a rate of change.
+
     None where the model spans its regressors already, or where its force is not finite. against : result of
     `base_fit`; None: it is computed.
     """
@@ -88,13 +93,18 @@ def fitted_gain(
         return None
     problem = subproblem(point, placed.at, extra)
     plain, base, level = against or base_fit(point, placed.at, steps)
-    limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
+    declared = {placed.name(k): q for k, q in enumerate(placed.effect.parameters)}
     spread: dict[str, float] = {}
     while problem.extra:
         fit = problem.fit(steps=steps)
         spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
-        inside = tuple(n for n in problem.extra if limits[n][0] <= fit.value(n)[0] <= limits[n][1])
+        inside = tuple(n for n in problem.extra if _is_needed(declared[n], *fit.value(n)))
         if inside == problem.extra:
             return LawGain(gain=problem.likelihood(fit, ALL_FOLDS) - level, problem=problem, fit=fit, spread=spread)
         problem = problem.only(inside)
     return LawGain(gain=0.0, problem=plain, fit=base, spread=spread)
+
+
+def _is_needed(q: EffectParameter, value: float, sd: float) -> bool:
+    """Whether an amplitude is within its limits, and gains more than it costs where the law can do without it."""
+    return q.low <= value <= q.high and (q.share > 0.0 or value**2 > 2.0 * OPTIONAL_COST_NATS * sd**2)
