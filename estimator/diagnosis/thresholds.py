@@ -15,6 +15,7 @@ class Thresholds:
     parameter_cost_nats: float = 1.5  # what an idle parameter gains held in and loses held out
     same_force_min_rel: float = 0.5  # of the largest force that any candidate explains, to be ranked by nats
     rival_nats: float = 10.0  # behind the first, within which the record does not tell two candidates apart
+    min_ahead_nats: float = 3.0  # of a law that is added: 20 to 1, strong evidence (Kass and Raftery 1995)
 
     # gates
     max_lost_folds: int = 1  # held-out time folds in which a candidate may lose: of six weak gains one is by chance

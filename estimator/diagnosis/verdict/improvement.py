@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import found_by
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import effect_use
@@ -159,6 +161,10 @@ def improvement(
         best = found.ranking[0] if named and found.ranking else found.pair
         if best is None or best.effect in untried:
             break
+        if rivals := _inseparable(best, found.ranking):
+            text = f"{' or '.join([best.effect, *rivals])}: the record does not separate these: none is added"
+            messages.append(Message("not_separated", text))
+            break
         if refusal := ladder.add(best):
             messages.append(Message("not_added", f"{best.effect} was named but {refusal}: not added"))
             refused |= {best.effect}
@@ -179,6 +185,12 @@ def improvement(
         messages=(*ladder.whole.messages, *messages, *insignificant_effects(ladder.whole.point), *last),
         diagnoses=tuple(diagnoses),
     )
+
+
+def _inseparable(best: Entry, ranking: Sequence[Entry]) -> list[str]:
+    """Other laws that pass all gates and are too near to a law for either to be the likelier by 20 to 1."""
+    rivals = [e for e in ranking if e.passed and e.placed and e.effect != best.effect]
+    return [e.effect for e in rivals if best.placed and abs(best.gain - e.gain) < THRESHOLDS.min_ahead_nats]
 
 
 def _last_verdict(found: BearingJudgement, survey: BearingSurvey) -> BearingJudgement:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.verdict.bearing import BearingJudgement
 from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve, improvement
@@ -23,6 +23,7 @@ from estimator.errors import DataError
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.effect import Effect
 from estimator.model.rig import BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
@@ -122,6 +123,25 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(r
     assert len(ladder.rungs) == 1
     assert ladder.rungs[-1].missing[0] > 5.0
     assert (ladder.last.verdict, ladder.diagnoses[-1].verdict) == ("unknown", "quadratic")
+
+
+def test_of_two_laws_that_the_record_does_not_separate_none_is_added(rig: Model) -> None:
+    rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    cubic, quintic = CATALOGUE["cubic"], CATALOGUE["quintic"]
+    hidden = with_effect(rig, cubic, strengths(cubic, size(rig, "bearing1.x", RATE), 0.3, rig), "bearing1.x")
+    y = simulate(hidden, RATE, 4.0, seed=4, noise=NOISE)
+
+    def named(law: Effect, gain: float) -> Entry:
+        placed = LocatedLaw(law, f"bearing1.x.{law.name}", (0,), np.array([1e18]), free=(True,))
+        return Entry(
+            law.name, ("bearing1",), gain, gain, p_value=1e-9, before_percent=5.0, after_percent=0.0, parameters={},
+            score=gain, placed=(placed,), gates=(GateResult(gate="significant", passed=True),),
+        )  # fmt: skip
+
+    both = BearingJudgement("quintic", (named(quintic, 41.0), named(cubic, 40.0)))
+    ladder = improvement(rig, y, RATE, diagnose=lambda *_: both)
+    assert (len(ladder.rungs), ladder.last.verdict) == (1, "unknown")
+    assert any(m.code == "not_separated" and "quintic or cubic" in m.text for m in ladder.messages)
 
 
 def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(rig: Model) -> None:
