@@ -113,7 +113,8 @@ def _of_usable(
         diagnoses.insert(-1, judgement)
         parameters |= entry.parameters
     last = found.last
-    if last.verdict == "complete" and set(usable.model.places) != set(model.places):
+    faulty = any(found_by(d.verdict) == "samples" for d in diagnoses)
+    if last.verdict == "complete" and faulty and set(usable.model.places) != set(model.places):
         last = replace(last, verdict="unknown")  # the messages on the record say which place is not judged, and why
     return replace(
         found,
