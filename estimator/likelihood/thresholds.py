@@ -20,6 +20,7 @@ class Thresholds:
     # last step of a fit, standard deviations; the remaining error is a tenth of it or less
     max_last_step_sd: float = 0.3
     max_part_step_sd: float = 0.5  # last step on a part of a record, standard deviations
+    start_blocks: int = 40  # number of blocks for the start values
     # of critical, least and largest that are tried at the start, and how many
     start_damping_ratios: tuple[float, float, int] = 0.001, 1.0, 40
     spectrum_blocks: int = 80  # number of blocks for the spectrum of the motion

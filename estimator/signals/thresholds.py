@@ -1,4 +1,4 @@
-"""Limits of the room `signals`, each with its unit and its origin."""
+"""Limits of filters, line spectra and shaft angle, each with its unit and its origin."""
 
 from __future__ import annotations
 

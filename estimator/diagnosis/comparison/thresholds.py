@@ -1,4 +1,4 @@
-"""Limits of the room `comparison`, each with its unit and its origin."""
+"""Limits of the comparison of model and record, each with its unit and its origin."""
 
 from __future__ import annotations
 

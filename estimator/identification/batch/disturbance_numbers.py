@@ -18,7 +18,7 @@ from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS, measured_force_places
 
-MAX_SETTLED_CHANGE_SD = 0.5  # a parameter that changes by less from one round to the next has settled
+from .thresholds import LIMITS
 
 
 def with_further_effects(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> Model:
@@ -89,12 +89,14 @@ def with_resolved_parameters(
 
 
 def parameters_have_moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> bool:
-    """Whether a parameter that was found both times has changed by more than MAX_SETTLED_CHANGE_SD."""
+    """Whether a parameter that was found both times has changed by more than max_settled_change_sd."""
     pairs = [(before[name], p) for name, p in now.items()]
     if any(p.value is None or q.value is None for p, q in pairs):
         return False
     return any(
-        abs((p.value or 0.0) - (q.value or 0.0)) > MAX_SETTLED_CHANGE_SD * (q.sd or 0.0) for p, q in pairs if q.sd
+        abs((p.value or 0.0) - (q.value or 0.0)) > LIMITS.max_settled_change_sd * (q.sd or 0.0)
+        for p, q in pairs
+        if q.sd
     )
 
 

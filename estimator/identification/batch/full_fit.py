@@ -44,17 +44,13 @@ from .disturbance_numbers import (
     with_resolved_parameters,
 )
 from .grid_start import fit_record
+from .thresholds import LIMITS
 
 SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     name
     for name, e in CATALOGUE.items()
     if e.found_by in ("spectrum", "coherence", "samples") and e.kind != "memory" and not e.flat_magnitude
 )
-MAX_TANGENT_SD_REL = 0.1  # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
-MIN_TOLD_SWING_DB = 1.0  # of the spectrum of the force along the band: instruments have +-10 %
-MAX_SPEED_CHANGE_REL = 0.02  # along a record: an imbalance changes by twice that
-SPEED_PIECES = 16  # of a record, for the speed along it
-RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +159,7 @@ def _background_messages(model: Model) -> tuple[Message, ...]:
     at = {} if model.background is None else model.background.at
     modes = {place: ", ".join(f"{m.frequency_hz:.0f}" for m in own.modes) for place, own in at.items() if own.modes}
     swing = {place: 10.0 * float(np.log10(own.psd_rel.max() / own.psd_rel.min())) for place, own in at.items()}
-    uneven = {place: db for place, db in swing.items() if db > MIN_TOLD_SWING_DB}
+    uneven = {place: db for place, db in swing.items() if db > LIMITS.min_told_swing_db}
     out = []
     if modes:
         listed = "; ".join(f"{place} {hz} Hz" for place, hz in modes.items())
@@ -181,7 +177,7 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
     for i, place in enumerate(point.data.places):
         own = [u.effect.name for u in point.placed if i in u.at and has_nonlinear_memory(u, point.lin[i])]
         here = point.fluctuations[i]
-        if own and here is not None and here.total[0].std() > MAX_TANGENT_SD_REL * point.kL[i]:
+        if own and here is not None and here.total[0].std() > LIMITS.max_tangent_sd_rel * point.kL[i]:
             text = f"{place}: {own[0]} beside a strongly nonlinear law: its numbers may be off by some per cent"
             out.append(Message("hysteresis_uncorrected", text, place))
     return tuple(out)
@@ -190,11 +186,11 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
 def _periodic_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
     """What the fit leaves out of the periodic forces of a model: a changing speed, and motion below the band."""
     data, own = point.data, harmonics.periodic_effects(model)
-    rows = np.linspace(0, data.phase.size - 1, SPEED_PIECES + 1).astype(int)
+    rows = np.linspace(0, data.phase.size - 1, LIMITS.speed_pieces + 1).astype(int)
     speed = np.diff(data.phase[rows]) / np.diff(data.t[rows])
     change = float(np.ptp(speed) / max(np.abs(speed).max(), 1e-12))
     out = []
-    if change > MAX_SPEED_CHANGE_REL and any(one.effect.turns for one in own):
+    if change > LIMITS.max_speed_change_rel and any(one.effect.turns for one in own):
         text = f"the speed changes by {100 * change:.0f} %: forces that turn with the shaft are those at the mean speed"
         out.append(Message("speed_changes", f"{text}; take a part at constant speed (--from, --to)"))
     below = sorted({one.hz for one in own if one.hz < data.band[0]})
@@ -277,7 +273,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
     )
     point = fit_record(model, prepare(model, y, rate_hz))
     shape_names = {u.name for u in uses if u.name in FORCE_SHAPES}
-    for _ in range(RESOLVING_ROUNDS if shape_names else 0):  # shapes and laws distort each other
+    for _ in range(LIMITS.resolving_rounds if shape_names else 0):  # shapes and laws distort each other
         shape = excitation_shapes(bare, point.data.places, point.data.f_hz, FORCE_SHAPES)
         flat = replace(point, data=replace(point.data, excitation_shape=shape))
         renewed, found_again = with_resolved_parameters(
@@ -288,7 +284,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
         model, found = renewed, found | found_again
         point = fit_record(model, prepare(model, y, rate_hz))
     refines = any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses)
-    for _ in range(RESOLVING_ROUNDS if refines else 0):
+    for _ in range(LIMITS.resolving_rounds if refines else 0):
         model, of_path = measured_path.refine_sensor_faults(model, point)
         model, refined_now = harmonic_fit.settle_harmonics(model, point)
         refined_now |= of_path

@@ -27,12 +27,11 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model, Setting
 from estimator.parallel import map_threads
 
-GRID_S = 6.0  # of the record, on which a grid is tried
-PEDESTAL_START_S = 20.0  # of the record, for the spectrum of the residual force
+from .thresholds import LIMITS
+
 GRID_FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}  # of the start, by number of parameters
 COARSE_FACTORS = np.array([0.3, 1.0, 3.0])  # for three parameters or more
 FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node, where the grid was wide
-MAX_NEGATIVE_DAMPING_REL = 0.1  # of the damping without a pedestal: an intermediate fit may fall that far below zero
 
 
 def fit_record(model: Model, data: MotionRecord) -> WorkingPoint:
@@ -41,7 +40,7 @@ def fit_record(model: Model, data: MotionRecord) -> WorkingPoint:
         data, located_laws(model, data), located_laws(_without_pedestal_values(model), data)
     )
     loose = [k for k, use in enumerate(uses) if _searched_parameters(use)]
-    part = leading_blocks(data, GRID_S)
+    part = leading_blocks(data, LIMITS.grid_s)
     kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):
         own = [k for k in loose if kinds[k] == kind]
@@ -78,7 +77,7 @@ def _with_pedestal_starts(
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched_parameters(use)]
     if not shaped:
         return uses, None
-    part = leading_blocks(data, PEDESTAL_START_S)
+    part = leading_blocks(data, LIMITS.pedestal_start_s)
     without = fit_model(part, others)
     started = {}
     kL, c = without.kL.copy(), without.c.copy()
@@ -91,7 +90,7 @@ def _with_pedestal_starts(
     if started:
         own = [*others, *(started.get(k, uses[k]) for k in shaped)]
         points.insert(0, fit_model(part, own, replace(without, kL=kL, c=c, placed=tuple(own))))
-    least = -MAX_NEGATIVE_DAMPING_REL * np.abs(without.c)
+    least = -LIMITS.max_negative_damping_rel * np.abs(without.c)
     sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
     best = max(sound or points, key=lambda point: point.fit.log_likelihood)
     fitted = {use.key: use for use in best.placed}

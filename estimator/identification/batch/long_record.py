@@ -18,9 +18,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.prepare import prepare
 
 from .full_fit import FullFit
-
-MIN_FURTHER_SHARE = 0.25  # of the part that was fitted, from which the rest is fitted too
-MAX_CHANCE_P = 1e-3  # of the scatter of the parts, from which it counts
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +35,7 @@ class FitOfParts:
 def fit_of_all_parts(found: FullFit, y: Array, rate_hz: float) -> FitOfParts | None:
     """The fit of all parts of y (n, channels), SI. found : the fit of the first part. None where that is all."""
     rows = found.point.data.blocks * found.point.data.block
-    if len(y) < (1.0 + MIN_FURTHER_SHARE) * rows:
+    if len(y) < (1.0 + LIMITS.min_further_share) * rows:
         return None
     parts, lengths = [fitted_estimates(found.point)], [rows]
     for part in count(1):
@@ -67,5 +65,5 @@ def _mean(parts: list[Estimate], weights: Array) -> Estimate:
     mean = float(weights @ value)
     expected, dof = float(weights**2 @ variance), len(parts) - 1
     scatter = float(np.sum((value - mean) ** 2 / variance))
-    wider = scatter / dof if scatter > chdtri(dof, MAX_CHANCE_P) else 1.0
+    wider = scatter / dof if scatter > chdtri(dof, LIMITS.max_chance_p) else 1.0
     return Estimate(value=mean, sd=float(np.sqrt(expected * wider)), unit=parts[0].unit)

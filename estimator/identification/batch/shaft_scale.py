@@ -33,10 +33,7 @@ from estimator.model.background import Background, BearingBackground
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
 
-START_MASSES_REL = (0.02, 0.1, 0.5, 2.0, 10.0, 50.0)  # of the disc: start values of unknown cap masses
-SEARCHED_STARTS = 2  # likeliest starts whose background is sought
-MIN_START_STIFFNESS_REL = 0.1  # of the stiffness of a cap, for its bearing beside a stiff shaft
-UNKNOWN_SD = 10.0  # of the logarithm of a mass that the spectra do not give
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +77,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
         misfit = float(problem.misfit(point).max())
         sd = np.hypot(_mass_sd(problem, point) * force_dispersion(apart) ** 0.5, misfit)
         if misfit > MAX_BACKGROUND_DEPTH_RMS or len(own) < 2:
-            sd = np.full(sd.size, UNKNOWN_SD)
+            sd = np.full(sd.size, LIMITS.unknown_sd)
         ln_mass |= {
             data.places[own[cap]]: (float(heavier), float(s))
             for cap, heavier, s in zip(loose, point.values.heavier, sd, strict=True)
@@ -98,8 +95,8 @@ def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> tup
     if not problem.loose:
         starts = [problem.maximised(start_values(problem, apart))]
     else:
-        tried = [_started(model, problem, apart, share) for share in START_MASSES_REL]
-        starts = sorted((p for p in tried if p is not None), key=lambda p: -p.log_likelihood)[:SEARCHED_STARTS]
+        tried = [_started(model, problem, apart, share) for share in LIMITS.start_masses_rel]
+        starts = sorted((p for p in tried if p is not None), key=lambda p: -p.log_likelihood)[: LIMITS.searched_starts]
     found = []
     for start in starts:
         try:
@@ -119,7 +116,7 @@ def _started(model: Model, problem: JointSpectrum, apart: WorkingPoint, share: f
     carried[loose] = float(shaft_matrix(model.shaft, model.shaft_stiffness)[0, 0]) * np.exp(-heavier)
     k = np.exp(values.stiffness)
     values = replace(
-        values, stiffness=np.log(np.maximum(k - carried, MIN_START_STIFFNESS_REL * k)), heavier=heavier
+        values, stiffness=np.log(np.maximum(k - carried, LIMITS.min_start_stiffness_rel * k)), heavier=heavier
     )  # fmt: skip
     try:
         return tried_point(problem, values)
@@ -133,7 +130,7 @@ def _mass_sd(problem: JointSpectrum, point: JointPoint) -> Array:
     caps, splines = point.values.force.shape
     masses = caps * (splines + 3) + np.arange(len(problem.loose))
     information = products(J)
-    information[masses, masses] += UNKNOWN_SD**-2
+    information[masses, masses] += LIMITS.unknown_sd**-2
     variance = np.diag(np.linalg.pinv(information))[masses]
     return np.asarray(np.sqrt(variance * max(problem.dispersion(point), 1.0)))
 

@@ -17,12 +17,7 @@ from estimator.results import Fit, Message, Parameter
 
 from .full_fit import FullFit, fit_all_effects
 from .long_record import fit_of_all_parts
-
-MAX_LAST_STEP_SD = 1.0  # last step of a fit, standard deviations: a larger one has not converged
-MIN_COLOUR_SD = 5.0  # of the residual force in a band of cells: one false message in 1e5 records
-MIN_COLOUR_REL = 0.05  # of S, from which it matters to a parameter
-MIN_COLOUR_BINS, MAX_COLOUR_CELLS = 60, 24  # bins of the lowest cell of frequency, and number of cells over the band
-MAX_LINES_NAMED = 6
+from .thresholds import LIMITS
 
 
 def fit_spectral(model: Model, y: Array, rate_hz: float) -> Fit:
@@ -79,7 +74,7 @@ def _fit_messages(found: FullFit) -> tuple[Message, ...]:
     """Messages on the fit itself: no convergence, lines left out, a residual force that is not white."""
     point = found.point
     out = []
-    if last_step_sd(point) > MAX_LAST_STEP_SD:
+    if last_step_sd(point) > LIMITS.max_last_step_sd:
         out.append(Message("not_converged", "the fit did not converge, so all values are provisional: record longer"))
     low, high = point.data.band
     if inside := tuple(hz for line in point.data.lines if low < (hz := line.centre_hz) < high):
@@ -96,13 +91,15 @@ def _not_white(point: WorkingPoint, i: int) -> tuple[Message, ...]:
     if point.data.measured_force or not point.kL[i] > 0.0:
         return ()
     data, share = point.data, mean_power(point, i) * point.whitening.weight[i] / point.S[i]
-    edges = np.unique(np.round(np.geomspace(MIN_COLOUR_BINS, share.size, MAX_COLOUR_CELLS)).astype(int))[:-1]
+    edges = np.unique(np.round(np.geomspace(LIMITS.min_colour_bins, share.size, LIMITS.max_colour_cells)).astype(int))[
+        :-1
+    ]
     first = np.concatenate([[0], edges])
     bins = np.diff(np.append(first, share.size))
     excess = np.add.reduceat(share, first) / bins - 1.0
     sds = np.abs(excess) * np.sqrt(bins * data.blocks)
     worst = int(np.argmax(sds))
-    if sds[worst] < MIN_COLOUR_SD or abs(excess[worst]) < MIN_COLOUR_REL:
+    if sds[worst] < LIMITS.min_colour_sd or abs(excess[worst]) < LIMITS.min_colour_rel:
         return ()
     hz = float(data.f_hz[first[worst] + bins[worst] // 2])
     place = data.places[i]
@@ -114,11 +111,11 @@ def _not_white(point: WorkingPoint, i: int) -> tuple[Message, ...]:
 
 
 def lines_in_words(lines_hz: tuple[float, ...], speed_rpm: float | None) -> str:
-    """Frequencies of lines in words, the first `MAX_LINES_NAMED` of them, with the shaft order where there is one."""
+    """Frequencies of lines in words, the first `max_lines_named` of them, with the shaft order where there is one."""
     words = []
-    for hz in lines_hz[:MAX_LINES_NAMED]:
+    for hz in lines_hz[: LIMITS.max_lines_named]:
         shaft = (speed_rpm or 0.0) / 60.0
         order = round(hz / shaft) if shaft else 0
         words.append(f"{hz:.0f} Hz ({order}X)" if order and abs(hz - order * shaft) < 0.01 * hz else f"{hz:.0f} Hz")
-    more = f" and {len(lines_hz) - MAX_LINES_NAMED} more" if len(lines_hz) > MAX_LINES_NAMED else ""
+    more = f" and {len(lines_hz) - LIMITS.max_lines_named} more" if len(lines_hz) > LIMITS.max_lines_named else ""
     return ", ".join(words) + more

@@ -26,9 +26,8 @@ from estimator.signals.channel_response import measured_force_places
 
 from .grid_start import fit_record
 from .shaft_scale import shaft_scale
+from .thresholds import LIMITS
 
-MAX_ASTRAY_STEP_SD = 1.0  # last step of a fit, standard deviations: with a larger one the fit has gone astray
-MAX_DEPARTURE_SD = 4.0  # of a fitted mass from that of the spectra
 NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
 
@@ -69,7 +68,7 @@ def _refined_masses(
     except (DataError, NotFiniteError, np.linalg.LinAlgError):
         return dict(found)
     fitted = fitted_parameters(point)
-    if min(*point.kL, *point.c) <= 0.0 or last_step_sd(point) > MAX_ASTRAY_STEP_SD:
+    if min(*point.kL, *point.c) <= 0.0 or last_step_sd(point) > LIMITS.max_astray_step_sd:
         return dict(found)
     return {name: _agreed(q, fitted[name]) for name, q in found.items()}
 
@@ -78,7 +77,7 @@ def _agreed(spectral: Parameter, fitted: Parameter) -> Parameter:
     """The mass of a fit if it agrees with that of the spectra, else that of the spectra."""
     if fitted.value is None or spectral.value is None or fitted.sd is None or spectral.sd is None:
         return spectral
-    agrees = abs(fitted.value - spectral.value) < MAX_DEPARTURE_SD * np.hypot(fitted.sd, spectral.sd)
+    agrees = abs(fitted.value - spectral.value) < LIMITS.max_departure_sd * np.hypot(fitted.sd, spectral.sd)
     return fitted if agrees else spectral
 
 

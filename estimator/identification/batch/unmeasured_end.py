@@ -11,8 +11,7 @@ from estimator.model.rig import Model
 from estimator.model.rotor import rotor_matrices
 from estimator.results import Message
 
-MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: a weaker coupling through the shaft does not matter
-MAX_ROTOR_STIFFNESS_REL = 0.1  # of it, beyond which a rotor of many modes is not judged by some bearings
+from .thresholds import LIMITS
 
 
 def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Message, ...]:
@@ -31,7 +30,7 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Mess
         if rotor is None or not others or mass is None or stiffness <= 0.0:
             continue
         through = np.abs(rotor.dynamic(np.array([np.sqrt(stiffness / mass)]))[0, 0, 1:]) / stiffness
-        if through.max() > max(most, MIN_SHAFT_STIFFNESS_REL):
+        if through.max() > max(most, LIMITS.min_shaft_stiffness_rel):
             most, lacking = float(through.max()), others[int(np.argmax(through))][:-2]
     if not lacking:
         return ()
@@ -39,7 +38,7 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Mess
         f"{lacking} is not measured, but its motion acts through the shaft on the bearing that is ({100 * most:.0f} % "
         "of the stiffness there, at the resonance)"
     )
-    if model.rotor is not None and most > MAX_ROTOR_STIFFNESS_REL:
+    if model.rotor is not None and most > LIMITS.max_rotor_stiffness_rel:
         raise DataError(f"{acts}: measure all bearings, or leave out the shaft")
     text = f"{acts}. The fit takes it for excitation, and no value is reliable: measure all bearings"
     return (Message("end_unmeasured", text, lacking),)

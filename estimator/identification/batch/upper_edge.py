@@ -11,12 +11,9 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Message
 
+from .thresholds import LIMITS
+
 FALL_POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, in the nepers of a common fall of any form
-ABOVE_RESONANCE_REL = 2.0  # frequency over the highest resonance from where laws and damping shape the force no more
-MIN_FALL_SD = 4.0  # of the slope of a fall, at every place: one false message in 1e4 records of one place
-MIN_FALL_DB = 0.3  # at the upper band edge, from which it matters to S (7 % of power)
-TRUSTED_FALL_DB = 0.1  # at the frequency up to which a record is trusted: 2 % of power
-MIN_CELLS = 3  # above the resonances, to see a fall in
 
 
 def upper_edge_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
@@ -65,13 +62,13 @@ def roll_off_message(ratio: Array, f_hz: Array, count: Array, resonance_hz: floa
     ratio : (places, cells) power of the residual force over the model's. f_hz, count : (cells,) mean frequency and
     number of independent values. resonance_hz : the highest.
     """
-    fall = common_fall_db(ratio, f_hz, count, ABOVE_RESONANCE_REL * resonance_hz)
-    if fall is None or fall[1][-1] < MIN_FALL_DB:
+    fall = common_fall_db(ratio, f_hz, count, LIMITS.above_resonance_rel * resonance_hz)
+    if fall is None or fall[1][-1] < LIMITS.min_fall_db:
         return ()
     f, lost = fall
     seen = f"all channels roll off alike towards the end of the band, by {lost[-1]:.1f} dB at {f_hz[-1]:.0f} Hz"
     known = "give acquisition.anti_alias in the rig file"
-    sound = f[lost < TRUSTED_FALL_DB]
+    sound = f[lost < LIMITS.trusted_fall_db]
     remedy = f"lower band.high to {sound[-1]:.0f} Hz, or {known}" if sound.size else known
     return (Message("band_rolls_off", f"{seen}, as behind an anti-alias filter: {remedy}"),)
 
@@ -91,13 +88,13 @@ def common_fall_db(ratio: Array, f_hz: Array, count: Array, from_hz: float) -> t
     from scipy.optimize import nnls
 
     above = f_hz > from_hz
-    if above.sum() < MIN_CELLS:
+    if above.sum() < LIMITS.min_cells:
         return None
     f, n, level = f_hz[above], count[above], np.log(ratio[:, above])
     x = (f / f_hz[-1]) ** FALL_POWERS[2]
     x = x - np.average(x, weights=n)
     slope, sd = level @ (n * x) / (n @ x**2), 1 / np.sqrt(n @ x**2)
-    if np.any(slope > -MIN_FALL_SD * sd):
+    if np.any(slope > -LIMITS.min_fall_sd * sd):
         return None
     basis, mean = (f[:, None] / f_hz[-1]) ** FALL_POWERS, level.mean(axis=0)
     free, root = basis - np.average(basis, axis=0, weights=n), np.sqrt(n)

@@ -1,4 +1,4 @@
-"""Limits of the room `machine`, each with its unit and its origin."""
+"""Limits of the machine layer, each with its unit and its origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of the room `moments`, each with its unit and its origin."""
+"""Limits of the paper's own methods, each with its unit and its origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of the room `residual`, each with its unit and its origin."""
+"""Limits of what judges the residual force, each with its unit and its origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of the room `rolling`, each with its unit and its origin."""
+"""Limits of the rolling estimate, each with its unit and its origin."""
 
 from __future__ import annotations
 

@@ -38,8 +38,6 @@ from estimator.signals.band_limit import out_of_band_sd
 
 from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
 
-START_BLOCKS = 40  # number of blocks for the start values
-
 
 def fit_model(
     data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = LIMITS.max_rounds,
@@ -166,7 +164,7 @@ def _first_linear_values(
 
 def _start_spectrum(data: MotionRecord, series: NDArray[np.floating]) -> Complexes:
     """(blocks, bins) spectra of a series (n,) in some of the blocks; the mean square is the one-sided PSD."""
-    some = series.reshape(data.blocks, data.block)[:: max(1, data.blocks // START_BLOCKS)]
+    some = series.reshape(data.blocks, data.block)[:: max(1, data.blocks // LIMITS.start_blocks)]
     window = np.hanning(data.block)
     scale = np.sqrt(2.0 / (data.rate_hz * np.sum(window**2)))
     return np.asarray(scale * np.fft.rfft(some * window, axis=1)[:, data.bins], np.complex128)
