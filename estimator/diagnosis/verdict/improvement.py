@@ -157,6 +157,8 @@ def improvement(
         step = len(diagnoses)
         whole = ladder.whole
         untried = refused | (CAUSES_OF_SPECTRUM if whole.model.background is not None else frozenset())
+        if len(ladder.rungs) > 1 and ladder.survey.adequate:  # no shaft is blamed beside laws that explain all
+            untried |= {RIG_FILE}
         found = diagnose(whole.model, whole.point, y, _second_half(say, step / (step + 1.0)), untried, ladder.survey)
         named = found.verdict not in VERDICTS_WITHOUT_EFFECT
         best = found.ranking[0] if named and found.ranking else found.pair

@@ -190,8 +190,12 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model)
         placed=(law,),
     )
     said = iter([BearingJudgement("cubic", (named,)), BearingJudgement("complete", ())])
-    ladder = improvement(known, y, RATE, diagnose=lambda *_: next(said))
+    refused: list[frozenset[str]] = []
+    ladder = improvement(known, y, RATE, diagnose=lambda *asked: (refused.append(asked[4]), next(said))[1])
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
+    assert ["rig_file" in names for names in refused] == [False, True], (
+        "no shaft is blamed beside laws that explain all"
+    )
     alone = fit_all_effects(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters
     for name in colour:
         found, best = (p[f"bearing1.x.coloured_excitation.{name}"] for p in (ladder.parameters, alone))
