@@ -10,7 +10,7 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import found_by
+from estimator.effects import LINE_NAMES, found_by
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import effect_use
 from estimator.identification.judgeable import Layers, on_judgeable_record, survey_layers
@@ -20,10 +20,10 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
-from .bearing import BearingJudgement, judge_bearing, quiet
+from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
 from .ladder import CAUSES_OF_SPECTRUM, Ladder, Rung
-from .signal_findings import signal_entries, signal_use, tones_of_surroundings
+from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings
 
 Progress = Callable[[float, str], None]
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
@@ -100,8 +100,10 @@ def _of_usable(
     model: Model, y: Array, rate_hz: float, layers: Layers, usable: UsableRecord, say: Progress
 ) -> Improvement:
     """The improvement of a record whose channels are sound. model, y : with all channels."""
-    surroundings = tones_of_surroundings(layers.record, layers.machine)
-    found = improvement(usable.model, usable.y, rate_hz, say, refused=surroundings)
+    refused = tones_of_surroundings(layers.record, layers.machine)
+    if shaft_entries(model, layers.record, layers.machine):
+        refused |= set(LINE_NAMES)  # a line is the trace of a shaft that is out of balance
+    found = improvement(usable.model, usable.y, rate_hz, say, refused=refused)
     known = [use for use in model.effects if found_by(use.name) == "samples"]
     rungs = [replace(r, effects=(*r.effects, *(use.name for use in known))) for r in found.rungs]
     diagnoses, parameters = list(found.diagnoses), found.parameters | dict(usable.parameters)
@@ -131,6 +133,8 @@ def _named_by_samples(found: Improvement, model: Model, y: Array, layers: Layers
     """What the samples show without a fit and a model lacks: strikes, large tones of the shaft, clipped channels."""
     whole = replace(model, effects=(*model.effects, *found.model.effects))
     shown = {e.effect: e for e in reversed(signal_entries(whole, layers.record, layers.machine))}
+    if any(use.name in SHAFT_HARMONICS for use in found.model.effects):
+        shown = {name: e for name, e in shown.items() if name not in SHAFT_HARMONICS}
     out = [BearingJudgement(name, (entry,)) for name, entry in reversed(shown.items())]
     plain = BearingJudgement("complete", ())
     clipped = with_clipped_channels(plain, model, y, layers.record)
