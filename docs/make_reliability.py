@@ -65,7 +65,9 @@ for them. Rows by atheris, which is slow where a library reads, are few as well.
 
 On 28 November 2026, after the changes to recorded traffic, files of others and parts of logs, one million new inputs of each of `parts`,
 `lvm`, `uff-sets`, `mapped`, `serial`, `can`, `slcan`, `candump`, `asc`, `messages`, `records`, `csv`, `answer-members`, `blf` and
-`mat-variables` (`python tests/fuzz/mass.py TALLY.json KIND --inputs 1000000` from an empty tally): nothing broke a promise.
+`mat-variables` (`python tests/fuzz/mass.py TALLY.json KIND --inputs 1000000` from an empty tally): nothing broke a promise. Again the
+same day, after names of codes, dates of `candump -tA` and sound heads changed, one million each of `candump`, `mapped`, `csv` and
+`wav`; and one million of `mapped` after the look-ahead of devices without a counter changed.
 
 The libraries for .mat and .mf4 crash, or come to no end, on some damaged files, which is why they run in a process of their own. Variables
 of a .mat (`mat-variables`) and small .mf4 files (`mf4-files`) are read with the libraries' own code, many in a request; one that kills the
