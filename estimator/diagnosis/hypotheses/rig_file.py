@@ -1,218 +1,42 @@
-"""Mistakes in the rig file as hypotheses: a mass, the shaft's spring, two channels swapped, one inverted.
+"""Mistakes in the rig file on trial by the spectra of the caps.
 
-A wrong number or a wrong channel changes what the shaft is thought to carry from one bearing to the other, and with it
-the cross spectra of the caps. Each hypothesis changes the rig. The spectra of the caps are explained by the rig as it
-is given and by each changed one, each with the structural modes and the spectrum of the force that it needs. The
-likelihood, less what the modes cost, says which rig is likelier. On one bearing alone there is no such witness. A wrong
-speed or rate is told by the machine layer.
+The spectra of the caps are explained by the rig as it is given and by each changed one, each with the structural modes
+and the spectrum of the force that it needs. The likelihood, less what the modes cost, says which rig is likelier.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from estimator.arrays import Array
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
+from estimator.effects.engine.custom import effect_of
 from estimator.errors import ModelError
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.batch.unknown_mass import places_without_mass
 from estimator.identification.structure.cross_spectra import SearchTooLongError
-from estimator.identification.structure.rig_spectra import Arrangement, RigFit, RigSpectra
+from estimator.identification.structure.rig_spectra import MAX_WORK_DERIVATIVES, Arrangement, RigFit, RigSpectra
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
-from estimator.results import Parameter
+from estimator.model.rig import Model
+
+from .rig_changes import TRIAL_FACTORS, Hypothesis, SwappedChannels, Values, coupling_hypotheses
 
 TRIAL_ROWS = 2**19  # of the record, for the spectra: 20 s at 25.6 kHz
-TRIAL_FACTORS = (0.1, 0.5, 2.0, 10.0)  # of a mass or a spring: slips of a unit, a factor of two, of a half
 REFINING_STEPS = 8  # of the factor that explains most
-MAX_FACTOR_SD_LOG = 0.2  # beyond which a factor is said to be rough
 FACTOR_STEP_LOG = 0.1  # to either side of a factor, for its standard deviation
 MIN_FACTOR_LOG = 0.1  # of a factor from one: instruments have +-10 % (ISO 2954)
 MIN_FALL_NATS = 1e-4  # of a likelihood that does not depend on the factor
 MIN_FACTOR_SD = 3.0  # of its logarithm, of a factor from one
-REFINED_LOG_RANGE = 1.0  # to either side of the factor of the grid
+FOLLOWED_STEP_LOG = 0.35  # of a factor, a half: the modes of one fit are near those of the next
+MAX_LOG_FACTOR = 2.6  # that is followed: a slip of a digit with its standard deviation
 MIN_SCREENED_NATS = 5.0  # gained before the modes of a hypothesis are sought: half of what it has to gain
 RIVAL_COSTS = 10.0  # costs of a mode behind one that explains the spectra, before its own modes are sought
 MAX_SEARCHED = 3  # hypotheses, the likeliest with the modes of the given rig, whose own modes are sought
 UNSOUND_NATS = -1e12  # in place of the likelihood of a rig that explains nothing
-INVERTED_ERROR = -2.0  # relative error of the gain of an inverted channel
-
-Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
-
-
-class Hypothesis(Protocol):
-    """A named change of the model with a few numbers."""
-
-    @property
-    def name(self) -> str:
-        """Key of what it changes, such as "rig.mass.bearing1"."""
-        ...
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        """Values to try; none where the hypothesis makes no sense for this rig."""
-        ...
-
-    def apply(self, model: Model, values: Values) -> Model:
-        """The model with the change."""
-        ...
-
-    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        """Where the channels are with the change. places : of the channels as given."""
-        return channels
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        """What the rig file would say, by key."""
-        ...
-
-    def text(self, model: Model, values: Values) -> str:
-        """What to check, one line."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledMass(Hypothesis):
-    """The mass of the disc or of a cap is another one. key : of [rig.mass]."""
-
-    key: str
-
-    @property
-    def name(self) -> str:
-        return f"rig.mass.{self.key}"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in model.mass else []
-
-    def apply(self, model: Model, values: Values) -> Model:
-        return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        mass = values[0] * model.mass[self.key]
-        return {self.name: Parameter.from_estimate(mass, values[1] * mass, "kg")}
-
-    def text(self, model: Model, values: Values) -> str:
-        return _factor_text(self.name, values)
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledSpring(Hypothesis):
-    """The shaft has another stiffness."""
-
-    name: str = "rig.shaft_spring.stiffness"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in TRIAL_FACTORS]
-
-    def apply(self, model: Model, values: Values) -> Model:
-        return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        stiffness = values[0] * model.shaft_stiffness
-        return {self.name: Parameter.from_estimate(stiffness, values[1] * stiffness, "N/m")}
-
-    def text(self, model: Model, values: Values) -> str:
-        return _factor_text(self.name, values)
-
-
-@dataclass(frozen=True, slots=True)
-class SwappedChannels:
-    """Two channels have each other's place. first, second : their numbers."""
-
-    first: int
-    second: int
-
-    @property
-    def name(self) -> str:
-        return f"channel.{self.first}.{self.second}"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [()]
-
-    def apply(self, model: Model, values: Values) -> Model:
-        channels = list(model.channels)
-        one, other = channels[self.first], channels[self.second]
-        channels[self.first] = replace(one, node=other.node, direction=other.direction)
-        channels[self.second] = replace(other, node=one.node, direction=one.direction)
-        return replace(model, channels=tuple(channels))
-
-    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        order = list(channels.channel_of)
-        one, other = (places.index(model.channels[k].place) for k in (self.first, self.second))
-        order[one], order[other] = order[other], order[one]
-        return replace(channels, channel_of=tuple(order))
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        names = [model.channels[k].name for k in (self.first, self.second)]
-        return {f"channel.{name}.swapped": Parameter(1.0, 0.0, "1") for name in names}
-
-    def text(self, model: Model, values: Values) -> str:
-        one, other = (model.channels[k].name for k in (self.first, self.second))
-        return f"check the cables: {one} and {other} are swapped"
-
-
-@dataclass(frozen=True, slots=True)
-class InvertedChannel:
-    """A channel has the other sign. number : of the channel."""
-
-    number: int
-
-    @property
-    def name(self) -> str:
-        return f"channel.{self.number}.sign"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [()]
-
-    def apply(self, model: Model, values: Values) -> Model:
-        place = model.channels[self.number].place
-        turned = EffectUse(
-            SENSOR_GAIN.name, {place: {SENSOR_GAIN.parameters[0].name: Setting(INVERTED_ERROR, fixed=True)}}
-        )
-        return replace(model, effects=(*(u for u in model.effects if u.name != turned.name), turned))
-
-    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        own = places.index(model.channels[self.number].place)
-        return replace(channels, sign=tuple(-s if i == own else s for i, s in enumerate(channels.sign)))
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        return {f"channel.{model.channels[self.number].name}.sign": Parameter(-1.0, 0.0, "1")}
-
-    def text(self, model: Model, values: Values) -> str:
-        return f"check the mounting: the sign of {model.channels[self.number].name} is inverted"
-
-
-def _factor_text(name: str, values: Values) -> str:
-    """What to check of a number that a factor changes."""
-    rough = " or so" if values[1] > MAX_FACTOR_SD_LOG else ""
-    return f"check {name}: with {values[0]:.2g} times its value{rough} the model explains the spectra of the caps"
-
-
-def coupling_hypotheses(model: Model) -> list[Hypothesis]:
-    """The mistakes that the coupling of the bearings shows; none without two bearings on a shaft."""
-    nodes = {place.split(".")[0] for place in model.places}
-    if places_without_mass(model) or any("." in key for key in model.mass):  # the shaft has to give masses: no witness
-        return []
-    if model.shaft == "none" or model.shaft_stiffness <= 0.0 or "disc" not in model.mass or len(nodes) < 2:
-        return []
-    moving = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
-    alike = [
-        (i, j) for i, j in combinations(moving, 2)
-        if model.channels[i].kind == model.channels[j].kind and model.channels[i].place != model.channels[j].place
-        and len(moving) > 2 and model.channels[i].direction != model.channels[j].direction
-    ]  # fmt: skip
-    first_bearing = [k for k in moving if model.channels[k].node == min(nodes)]
-    return [
-        *(ScaledMass(key) for key in model.mass), ScaledSpring(), *(SwappedChannels(i, j) for i, j in alike),
-        *(InvertedChannel(k) for k in first_bearing),
-    ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,19 +68,70 @@ class _Trial:
     fit: RigFit
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MistakeTrial:
+    """What the trial of mistakes in the rig file came to.
+
+    Parameters
+    ----------
+    mistake : Mistake or None
+        The mistake with which the rig explains the spectra of the caps best; None where the rig as given does as well.
+    asked, tried : int
+        Numbers of mistakes that make sense for the rig, and of those that the work allowed for a trial sufficed for.
+    """
+
+    mistake: Mistake | None = None
+    asked: int = 0
+    tried: int = 0
+
+
 class _Trials:
-    """Hypotheses on the rig file of a record, on trial by the spectra of the caps. model, point : without a change."""
+    """Hypotheses on the rig file of a record, on trial by the spectra of the caps. model : without a change."""
 
-    def __init__(self, model: Model, point: WorkingPoint) -> None:
-        self.model, self.spectra = model, RigSpectra(model, point)
+    def __init__(self, model: Model, spectra: RigSpectra, asked: Sequence[Hypothesis]) -> None:
+        self.model, self.spectra, self.asked = model, spectra, asked
+        self.pending = [h.name for h in asked]  # not settled yet
 
-    def screened(self, asked: Sequence[Hypothesis], start: RigFit | None) -> list[_Trial]:
-        """The likeliest hypotheses with the modes of another fit, or without modes, each with its likeliest value."""
-        tried = [self.tried(h, values, start) for h in asked for values in h.propose(self.model)]
+    def screened(self, start: RigFit | None, least_nats: float) -> list[_Trial]:
+        """The likeliest hypotheses with the modes of another fit, or without modes, each with its likeliest value.
+
+        least_nats : of a hypothesis that is worth more.
+        """
+        tried = [trial for h in self.asked for trial in self._values_tried(h, start)]
         by_name: dict[str, _Trial] = {}
-        for trial in sorted((t for t in tried if t is not None), key=lambda t: -t.fit.nats):
+        for trial in sorted(tried, key=lambda t: -t.fit.nats):
             by_name.setdefault(trial.hypothesis.name, trial)
-        return [*by_name.values()][:MAX_SEARCHED]
+        best = [*by_name.values()][:MAX_SEARCHED]
+        if start is not None:
+            best = [replace(t, fit=self.spectra.without_idle_modes(t.fit)) for t in best]
+        return [t for t in best if t.fit.nats > least_nats]
+
+    def _values_tried(self, hypothesis: Hypothesis, start: RigFit | None) -> list[_Trial]:
+        """The hypothesis at its values; along its factor as well from the fit of the rig as given."""
+        values, followed = hypothesis.propose(self.model), []
+        if start is not None and any(values):
+            for step in (FOLLOWED_STEP_LOG, -FOLLOWED_STEP_LOG):
+                followed += self._followed(hypothesis, start, 0.0, step)
+            reached = [t.values[0] for t in followed] or [1.0]
+            values = [own for own in values if not min(reached) < own[0] < max(reached)]
+        return followed + [t for own in values if (t := self.tried(hypothesis, own, start)) is not None]
+
+    def _followed(self, hypothesis: Hypothesis, fit: RigFit, ln_factor: float, step: float) -> list[_Trial]:
+        """The hypothesis along its factor, each fit from the one before, until two are less likely than the best.
+
+        fit, ln_factor : where it begins. step : of the logarithm.
+        """
+        out: list[_Trial] = []
+        best, falls = fit.nats, 0
+        while falls < 2 and abs(ln_factor + step) < MAX_LOG_FACTOR:
+            ln_factor += step
+            trial = self.tried(hypothesis, (float(np.exp(ln_factor)), 1.0), fit)
+            if trial is None:
+                break
+            out.append(trial)
+            fit, falls = trial.fit, 0 if trial.fit.nats > best else falls + 1
+            best = max(best, fit.nats)
+        return out
 
     def tried(self, hypothesis: Hypothesis, values: Values, start: RigFit | None) -> _Trial | None:
         """The hypothesis with the modes of another fit, or without; None where the changed rig explains nothing."""
@@ -266,30 +141,35 @@ class _Trials:
             return None
         return _Trial(hypothesis=hypothesis, values=values, fit=fit)
 
-    def pruned(self, trial: _Trial) -> _Trial:
-        """The hypothesis without the modes that it does not need."""
-        return replace(trial, fit=self.spectra.without_idle_modes(trial.fit))
-
     def searched_in_turn(self, trials: Sequence[_Trial]) -> list[_Trial]:
         """Hypotheses with modes of their own, the likeliest first; once one explains the spectra, its rivals only.
 
-        Those that are reached with the work that the trial may take.
+        Those that are reached with the work that the trial may take: the others stay pending.
         """
         found: list[_Trial] = []
         reach = RIVAL_COSTS * self.spectra.cost_nats
+        self.pending = [t.hypothesis.name for t in trials]
         with suppress(SearchTooLongError):
             for trial in trials:
                 if not found or not found[0].fit.explains or trial.fit.nats > found[0].fit.nats - reach:
-                    found = sorted([*found, self.searched(trial)], key=lambda t: -t.fit.nats)
+                    found = sorted([*found, self._searched(trial)], key=lambda t: -t.fit.nats)
+                self.pending.remove(trial.hypothesis.name)
         return found
 
-    def searched(self, trial: _Trial) -> _Trial:
-        """The hypothesis with modes of its own and its likeliest factor."""
-        fits = [trial.fit]
-        for start in (None, trial.fit):
+    def _searched(self, trial: _Trial) -> _Trial:
+        """The hypothesis with more modes of its own and its likeliest factor.
+
+        Where these explain too little, its modes are sought from none as well.
+        """
+        trial = self._refined(trial)
+        for start in (trial.fit, None):
             with suppress(np.linalg.LinAlgError):
-                fits.append(self.spectra.searched(*self._changed(trial.hypothesis, trial.values), start))
-        return self._refined(replace(trial, fit=max(fits, key=lambda fit: fit.nats)))
+                found = self.spectra.searched(*self._changed(trial.hypothesis, trial.values), start)
+                if found.nats > trial.fit.nats + self.spectra.cost_nats:
+                    trial = self._refined(replace(trial, fit=found))
+            if trial.fit.explains and trial.fit.coherence_p_value > THRESHOLDS.max_p_value:
+                break
+        return trial
 
     def _changed(self, hypothesis: Hypothesis, values: Values) -> tuple[Model, Arrangement]:
         """The model whose masses and shaft are changed, and where the channels are."""
@@ -307,9 +187,12 @@ class _Trials:
             found = self.tried(trial.hypothesis, (float(np.exp(ln_factor)), 0.0), trial.fit)
             return UNSOUND_NATS if found is None else found.fit.nats
 
+        begin = float(np.log(trial.values[0]))
+        for step in (FOLLOWED_STEP_LOG, -FOLLOWED_STEP_LOG):
+            trial = max([trial, *self._followed(trial.hypothesis, trial.fit, begin, step)], key=lambda t: t.fit.nats)
         middle = float(np.log(trial.values[0]))
         best = minimize_scalar(
-            lambda u: -at(u), bounds=(middle - REFINED_LOG_RANGE, middle + REFINED_LOG_RANGE), method="bounded",
+            lambda u: -at(u), bounds=(middle - FOLLOWED_STEP_LOG, middle + FOLLOWED_STEP_LOG), method="bounded",
             options={"maxiter": REFINING_STEPS},
         )  # fmt: skip
         ln_factor = float(best.x) if -best.fun > trial.fit.nats else middle
@@ -322,10 +205,10 @@ class _Trials:
         return replace(trial, values=(trial.values[0], float(sd)))
 
 
-def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
-    """The mistake with which the rig explains the spectra of the caps best; None where the rig as given does as well.
-
-    None either where the trial would take more work than it may.
+def likeliest_mistake(
+    model: Model, y: Array, rate_hz: float, max_work: float = MAX_WORK_DERIVATIVES
+) -> MistakeTrial:  # fmt: skip
+    """The mistake with which the rig explains the spectra of the caps best, of those that are tried.
 
     Parameters
     ----------
@@ -335,6 +218,8 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
         Samples, SI.
     rate_hz : float
         Sampling rate, Hz.
+    max_work : float
+        Derivatives of spectra that each stage of the trial may take.
 
     Raises
     ------
@@ -343,43 +228,79 @@ def likeliest_mistake(model: Model, y: Array, rate_hz: float) -> Mistake | None:
     """
     asked = coupling_hypotheses(model)
     if not asked:
-        return None
-    model, background = replace(model, background=None), model.background
-    trials = _Trials(model, fit_record(model, prepare(model, y[:TRIAL_ROWS], rate_hz)))
-    try:
-        return _likeliest(trials, asked, trials.spectra.as_fitted(model, background))
-    except (np.linalg.LinAlgError, SearchTooLongError):
-        return None
+        return MistakeTrial()
+    laws = [use for use in model.effects if effect_of(use).kind == "force"]  # a wrong rig makes nonsense of them
+    effects = tuple(use for use in model.effects if use not in laws)
+    model, background = replace(model, background=None, effects=effects), model.background
+    point = fit_record(model, prepare(model, y[:TRIAL_ROWS], rate_hz))
+    trials = _Trials(model, RigSpectra(model, point, max_work), asked)
+    mistake = None
+    with suppress(np.linalg.LinAlgError, SearchTooLongError):
+        mistake = _likeliest(trials, trials.spectra.as_fitted(model, background))
+    return MistakeTrial(mistake=mistake, asked=len(asked), tried=len(asked) - len({*trials.pending}))
 
 
-def _likeliest(trials: _Trials, asked: Sequence[Hypothesis], given: RigFit) -> Mistake | None:
+def _likeliest(trials: _Trials, given: RigFit) -> Mistake | None:
     """The mistake that explains the spectra best; None for none. given : the fit of the rig as given."""
     model, spectra = trials.model, trials.spectra
-    spectra.begin_again()
-    near = [trials.pruned(t) for t in trials.screened(asked, given)]
-    near = [t for t in near if t.fit.nats > given.nats + MIN_SCREENED_NATS]
-    if not given.explains:
-        plain = spectra.tried(model, spectra.as_given, None)
-        near += [t for t in trials.screened(asked, None) if t.fit.nats > plain.nats + MIN_SCREENED_NATS]
-    found = trials.searched_in_turn(near)
+    given, contenders = _contenders(trials, given)
+    found = trials.searched_in_turn(sorted(contenders, key=lambda t: -t.fit.nats))
     if not found or not (found[0].fit.explains or _explains_coherence(given, found[0].fit)):
         return None
-    best = found[0]
+    found = _with_rivals(trials, found)
+    best, least = found[0], THRESHOLDS.rival_nats * found[0].fit.dispersion * spectra.dispersion
+    if best.fit.nats - given.nats < least or not _is_slip(best.values):
+        return None
     spectra.begin_again()  # the rig as given has the modes of the best one on trial too
+    trials.pending.append(best.hypothesis.name)
     with suppress(np.linalg.LinAlgError):
         again = spectra.without_idle_modes(spectra.searched(model, spectra.as_given, best.fit))
         given = max(given, again, key=lambda fit: fit.nats)
-    least = THRESHOLDS.rival_nats * best.fit.dispersion * spectra.dispersion
-    gain = best.fit.nats - given.nats
-    if gain < least or not _is_slip(best.values):
+    trials.pending.remove(best.hypothesis.name)
+    if (gain := best.fit.nats - given.nats) < least:
         return None
-    rivals = {
-        t.hypothesis.name: t.hypothesis.text(model, t.values)
-        for t in found[1:] if t.hypothesis.name != best.hypothesis.name and t.fit.nats > best.fit.nats - least
-    }  # fmt: skip
-    return Mistake(
-        hypothesis=best.hypothesis, values=best.values, gain_nats=gain, rivals=tuple(rivals.values())
-    )  # fmt: skip
+    near_best = [t for t in found[1:] if t.fit.nats > best.fit.nats - least]
+    rivals = {t.hypothesis.name: t.hypothesis.text(model, t.values) for t in near_best}
+    rivals |= {h.name: h.text(model, ()) for h in trials.asked if _is_twin(best.hypothesis, h)}
+    rivals.pop(best.hypothesis.name, None)
+    return Mistake(hypothesis=best.hypothesis, values=best.values, gain_nats=gain, rivals=tuple(rivals.values()))
+
+
+def _contenders(trials: _Trials, given: RigFit) -> tuple[RigFit, list[_Trial]]:
+    """The fit of the rig as given, and the likeliest hypotheses.
+
+    Modes of the rig as given are sought where no changed one is far ahead.
+    """
+    model, spectra = trials.model, trials.spectra
+    if given.explains:
+        return given, trials.screened(given, given.nats + MIN_SCREENED_NATS)
+    plain = spectra.tried(model, spectra.as_given, None)
+    contenders = trials.screened(None, plain.nats + MIN_SCREENED_NATS)
+    ahead = max((t.fit.nats for t in contenders), default=plain.nats) - plain.nats
+    if ahead < RIVAL_COSTS * spectra.cost_nats:
+        own = spectra.without_idle_modes(spectra.searched(model, spectra.as_given))
+        given = max(given, own, key=lambda fit: fit.nats)
+    spectra.begin_again()
+    if given.explains:
+        return given, trials.screened(given, given.nats + MIN_SCREENED_NATS)
+    if all(t.fit.nats < given.nats for t in contenders):
+        contenders += trials.screened(given, given.nats + MIN_SCREENED_NATS)
+    return given, contenders
+
+
+def _with_rivals(trials: _Trials, found: list[_Trial]) -> list[_Trial]:
+    """Hypotheses with those that come near the likeliest one with its modes, the likeliest first."""
+    best, names = found[0].fit, {t.hypothesis.name for t in found}
+    near = trials.screened(best, best.nats - RIVAL_COSTS * trials.spectra.cost_nats)
+    rivals = trials.searched_in_turn([t for t in near if t.hypothesis.name not in names])
+    return sorted([*found, *rivals], key=lambda t: -t.fit.nats)
+
+
+def _is_twin(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two swaps leave the same channels in one direction: the masses of the caps alone tell them apart."""
+    if not (isinstance(one, SwappedChannels) and isinstance(other, SwappedChannels)):
+        return False
+    return not {one.first, one.second} & {other.first, other.second}
 
 
 def _explains_coherence(given: RigFit, changed: RigFit) -> bool:
@@ -394,5 +315,4 @@ def _is_slip(values: Values) -> bool:
     if not values:
         return True
     size = abs(float(np.log(values[0])))
-    least, most = max(MIN_FACTOR_LOG, MIN_FACTOR_SD * values[1]), float(np.log(max(TRIAL_FACTORS))) + MIN_FACTOR_LOG
-    return least < size < most
+    return max(MIN_FACTOR_LOG, MIN_FACTOR_SD * values[1]) < size < float(np.log(max(TRIAL_FACTORS))) + MIN_FACTOR_LOG

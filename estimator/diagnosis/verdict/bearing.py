@@ -130,9 +130,18 @@ def judge_bearing(
         Of this model, if it is known.
     """
     say(0.15, "what can still be predicted")
-    survey = survey or survey_bearing(model, point, y)[0]
+    survey, untried = survey or survey_bearing(model, point, y)[0], list[Message]()
+    found = _judged_by_rule(model, point, y, say, refused, survey, untried)
+    return replace(found, messages=(*found.messages, *untried))
+
+
+def _judged_by_rule(
+    model: Model, point: WorkingPoint, y: Array, say: Progress, refused: frozenset[str], survey: BearingSurvey,
+    untried: list[Message],
+) -> BearingJudgement:  # fmt: skip
+    """As `judge_bearing`. untried : is given the remark on mistakes that were not tried."""
     found = rank_on_part(model, survey, say)
-    mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused)
+    mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused, untried=untried)
     if survey.explained:
         if point.data.background is not None and (mistaken := mistake(entries=found.entries)) is not None:
             return mistaken
@@ -278,15 +287,21 @@ def _leaves_message(entry: Entry) -> Message:
 
 def judged_mistake(
     model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, *,
-    refused: frozenset[str] = frozenset(), entries: Sequence[Entry] = (),
+    untried: list[Message], refused: frozenset[str] = frozenset(), entries: Sequence[Entry] = (),
 ) -> BearingJudgement | None:  # fmt: skip
     """The judgement that the rig file has a mistake; None where none explains the record, or it is refused.
 
     y : (n, channels) float64, samples, SI. survey : what the model leaves over; None where it cannot be fitted.
-    refused : effects that are not to be named. entries : other candidates.
+    untried : is given the remark on mistakes that were not tried. refused : effects that are not to be named.
+    entries : other candidates.
     """
-    found = None if RIG_FILE in refused else explaining_mistake(model, y, rate_hz, survey)
-    return None if found is None else BearingJudgement(RIG_FILE, (found[0], *entries), messages=(found[1],))
+    if RIG_FILE in refused:
+        return None
+    found, said = explaining_mistake(model, y, rate_hz, survey)
+    if found is None:
+        untried += said
+        return None
+    return BearingJudgement(RIG_FILE, (found, *entries), messages=said)
 
 
 def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:

@@ -35,8 +35,8 @@ from .signal_findings import (
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
 ROTOR_UNTRIED = Message(
     "rotor_untried",
-    "the matrices of the rotor, its nodes and masses are not on trial, and a mistake there looks like a law: hold the "
-    "modes that rotorscope check prints against a tap test before you believe one",
+    "the matrices of the rotor and its nodes are not on trial, and a mistake there looks like a law: hold the modes "
+    "that rotorscope check prints against a tap test before you believe one",
 )
 MAX_MESSAGES = 10  # more are not read
 
@@ -153,9 +153,11 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
             found = judged(usable)
         except NoResonanceError as problem:
             say(0.1, "a mistake in the rig file?")
-            mistaken = judged_mistake(usable.model, usable.y, rate_hz, None)
+            untried: list[Message] = []
+            mistaken = judged_mistake(usable.model, usable.y, rate_hz, None, untried=untried)
             refused = {problem.place: str(problem)}
             found = mistaken or on_judgeable_record(model, y, layers, judged, refused)
+            found = replace(found, messages=(*found.messages, *untried))
     except DataError as problem:
         found = BearingJudgement.not_judged(str(problem))
     return with_clipped_channels(found, model, y, layers.record)

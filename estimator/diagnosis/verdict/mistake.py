@@ -9,19 +9,24 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.rig_file import likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import MistakeTrial, likeliest_mistake
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
 from estimator.identification.finding import OTHER_BEARING
+from estimator.identification.structure.rig_spectra import MAX_WORK_DERIVATIVES
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter
 
+MISTAKES_UNTRIED = "mistakes_untried"  # code: the trial of mistakes was cut
+
 
 def explaining_mistake(
-    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None
-) -> tuple[Entry, Message] | None:  # fmt: skip
+    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, max_work: float = MAX_WORK_DERIVATIVES
+) -> tuple[Entry | None, tuple[Message, ...]]:  # fmt: skip
     """The likeliest mistake in the rig file as a candidate, and what to check; None where none explains the record.
+
+    A remark says where not all mistakes were tried.
 
     Parameters
     ----------
@@ -33,25 +38,40 @@ def explaining_mistake(
         Sampling rate, Hz.
     survey : BearingSurvey or None
         What the model leaves over; None where it cannot be fitted.
+    max_work : float
+        As of `likeliest_mistake`.
     """
     bare = replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)))
     before = after = 0.0 if survey is None else survey.missing.interval()[0]
+    untried: tuple[Message, ...] = ()
     try:
-        mistake = likeliest_mistake(bare, y, rate_hz)
+        trial = likeliest_mistake(bare, y, rate_hz, max_work)
+        mistake, untried = trial.mistake, _untried(trial)
         if mistake is None:
-            return None
+            return None, untried
         if survey is None or not survey.explained:
             corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
             whole = fit_all_effects(corrected, y, rate_hz)
             left = survey_bearing(whole.model, whole.point, y)[0]
             after = left.missing.interval()[0]
             if not left.explained and not _explains(survey, left):
-                return None
+                return None, untried
     except (DataError, np.linalg.LinAlgError):
-        return None
+        return None, untried
     text = "; or ".join([mistake.hypothesis.text(model, mistake.values), *mistake.rivals])
     parameters = dict(mistake.hypothesis.parameters(model, mistake.values))
-    return mistake_entry(mistake.gain_nats, parameters, before, after), Message(RIG_FILE, text)
+    return mistake_entry(mistake.gain_nats, parameters, before, after), (Message(RIG_FILE, text), *untried)
+
+
+def _untried(trial: MistakeTrial) -> tuple[Message, ...]:
+    """The remark on a trial that was cut; none where all mistakes were tried."""
+    if trial.tried == trial.asked:
+        return ()
+    text = (
+        f"mistakes in the rig file: {trial.tried} of {trial.asked} were tried, as the spectra of the caps need many "
+        "modes: check masses, shaft and cables yourself, or narrow the band"
+    )
+    return (Message(MISTAKES_UNTRIED, text),)
 
 
 def mistake_entry(

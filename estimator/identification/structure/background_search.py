@@ -142,12 +142,14 @@ def _of_direction(
     return dict(backgrounds(problem, found, point)), gained
 
 
-def search_background(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
+def search_background(
+    problem: JointSpectrum, point: JointPoint, least: float, thorough: bool = False
+) -> tuple[JointSpectrum, JointPoint]:  # fmt: skip
     """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out.
 
-    The problem as it is where it explains the spectra.
+    The problem as it is where it explains the spectra, unless the search is to be thorough.
     """
-    if float(problem.misfit(point).max()) < MIN_UNKNOWN_DEPTH_RMS:
+    if not thorough and float(problem.misfit(point).max()) < MIN_UNKNOWN_DEPTH_RMS:
         return problem, point
     while True:
         problem, point = _with_more(problem, point, least)

@@ -12,11 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.arrays import Array
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .background_search import MIN_GAIN_NATS, force_dispersion, search_background, tried_point, without_idle_modes
+from .background_search import (
+    FALL_POWERS,
+    MIN_GAIN_NATS,
+    TRIED_TOLERANCE_NATS,
+    force_dispersion,
+    search_background,
+    without_idle_modes,
+)
 from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
@@ -30,6 +38,11 @@ from .spectral_problem import (
 
 EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
 MAX_WORK_DERIVATIVES = 1e9  # of all rigs on trial together: about 25 s of a core of 2020
+
+SCANNED_FACTORS = np.geomspace(0.125, 8.0, 19)  # of a bearing's stiffness: a wrong rig has moved it
+PLAIN_OCTAVES = 2.0  # between the knots of the spectrum of a force before modes are sought
+MIN_KEPT_STIFFNESS_REL = 0.1  # of a bearing beside a shaft that is thought to be stiffer
+SCANNED_EACH = 4  # cells: one of so many is scanned
 
 Solution = tuple[JointSpectrum, JointPoint]
 
@@ -96,6 +109,8 @@ class RigSpectra:
         The rig as it is given, without disturbances.
     point : WorkingPoint
         Its fit.
+    max_work : float
+        Derivatives of spectra that all rigs on trial together may take.
 
     Raises
     ------
@@ -103,12 +118,13 @@ class RigSpectra:
         By every method, once all rigs together took more work than they may.
     """
 
-    def __init__(self, model: Model, point: WorkingPoint) -> None:
-        self._point, self._work = point, Work(limit=MAX_WORK_DERIVATIVES)
+    def __init__(self, model: Model, point: WorkingPoint, max_work: float = MAX_WORK_DERIVATIVES) -> None:
+        self._point, self._work = point, Work(limit=max_work)
         self.places = point.data.places
         self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
         self._directions = caps_by_direction(self.places)
         self.dispersion = force_dispersion(point)
+        self._fall_power = 0  # in the spectra of the forces without modes, once it is known
 
     def begin_again(self) -> None:
         """Allow as much work once more."""
@@ -125,15 +141,14 @@ class RigSpectra:
         return Arrangement(channel_of=tuple(range(len(self.places))), sign=(1.0,) * len(self.places))
 
     def as_fitted(self, model: Model, background: Background | None) -> RigFit:
-        """The fit of the rig as given, with a background that was found before, or sought. Raises LinAlgError."""
+        """The fit of the rig as given with a background that was found before, or without modes. Raises LinAlgError."""
         if background is None:
-            return self.without_idle_modes(self.searched(model, self.as_given))
+            return self.tried(model, self.as_given, None)
         out = []
         for places in self._directions:
             problem = self._problem(model, places, self.as_given)
             known = with_known_background(problem, self._point, background)
-            start = known or self._plain(model, problem, self.as_given)
-            out.append(search_background(*start, self.cost_nats))
+            out.append(known or self._plain(model, problem, self.as_given))
         return self.without_idle_modes(self._fit(out, self.as_given))
 
     def searched(self, model: Model, channels: Arrangement, start: RigFit | None = None) -> RigFit:
@@ -141,8 +156,20 @@ class RigSpectra:
 
         Raises numpy.linalg.LinAlgError where the rig explains nothing.
         """
-        started = self._started(model, channels, start)
-        return self._fit([search_background(*s, self.cost_nats) for s in started], channels)
+        found = []
+        for problem, point in self._started(model, channels, start):
+            best = search_background(problem, point, self.cost_nats, thorough=True)
+            if start is None and not _explains(best):  # greedy steps from white forces end elsewhere
+                white = replace(problem, octaves=np.inf, fall_power=0)
+                begun = white.maximised(white.respaced(point.values, problem))
+                other = search_background(white, begun, self.cost_nats, thorough=True)
+                best = max(best, other, key=self._nats)
+            found.append(best)
+        return self._fit(found, channels)
+
+    def _nats(self, solution: Solution) -> float:
+        """Log-likelihood less what the modes cost."""
+        return solution[1].log_likelihood - self.cost_nats * len(solution[1].values.modes)
 
     def without_idle_modes(self, fit: RigFit) -> RigFit:
         """The fit without the modes that gain less than they cost."""
@@ -157,9 +184,8 @@ class RigSpectra:
         """The fit with these solutions."""
         each = [problem.coherence(point) for problem, point in solutions]
         coherent, paid = sum(nats for nats, _ in each), sum(paid for _, paid in each)
-        modes = sum(len(point.values.modes) for _, point in solutions)
         return RigFit(
-            nats=sum(point.log_likelihood for _, point in solutions) - self.cost_nats * modes,
+            nats=sum(map(self._nats, solutions)),
             misfit=max(float(problem.misfit(point).max()) for problem, point in solutions),
             coherence_p_value=float(chdtrc(paid, 2.0 * coherent)) if paid else 1.0,
             coherence_nats=max(coherent - 0.5 * paid, 0.0),
@@ -176,7 +202,7 @@ class RigSpectra:
                 out.append(self._plain(model, problem, channels))
             else:
                 problem = problem.in_form_of(start.solutions[k][0])
-                out.append((problem, tried_point(problem, self._values_of(problem, channels, start))))
+                out.append((problem, _tried(problem, self._values_of(problem, channels, start))))
         return out
 
     def _problem(self, model: Model, places: tuple[int, ...], channels: Arrangement) -> JointSpectrum:
@@ -196,7 +222,12 @@ class RigSpectra:
         point, source = self._point, list(channels.channel_of)
         ratio = cap_masses(model, point) / point.data.mass[source]
         moved = replace(point, kL=point.kL[source] * ratio, S=point.S[source] * ratio**2, nu=point.nu[source])
-        return problem, problem.maximised(start_values(problem, moved))
+        if self._fall_power:
+            return _smooth(problem, moved, self._fall_power)
+        each = [_smooth(problem, moved, power) for power in FALL_POWERS]
+        best = max(each, key=lambda one: one[1].log_likelihood)
+        self._fall_power = best[0].fall_power  # one recorder has all channels
+        return best
 
     def _values_of(self, problem: JointSpectrum, channels: Arrangement, start: RigFit) -> JointValues:
         """Values of another fit, moved with the channels; each keeps frequencies and mass ratios."""
@@ -209,7 +240,8 @@ class RigSpectra:
             v = point.values
             ln_psd = old.basis @ v.force[cap0] + 2.0 * heavier
             force.append(np.linalg.lstsq(problem.basis, ln_psd, rcond=None)[0])
-            rest.append((v.noise[cap0], v.stiffness[cap0] + heavier, v.damping[cap0] + heavier))
+            stiffness = _at_same_resonance(problem, cap, old, cap0, v, heavier)
+            rest.append((v.noise[cap0], stiffness, v.damping[cap0] + heavier))
             own = [j for j, mode in enumerate(v.modes) if mode.cap == cap0]
             modes += [ModePlace(cap, v.modes[j].form) for j in own]
             q += [v.q[j] for j in own]
@@ -218,3 +250,69 @@ class RigSpectra:
             force=np.array(force), noise=noise, stiffness=stiffness, damping=damping, modes=tuple(modes),
             q=np.array(q).reshape(-1, 3),
         )  # fmt: skip
+
+
+def _explains(solution: Solution) -> bool:
+    """Whether nothing is seen in the spectra of a direction that a further search could explain."""
+    return float(solution[0].misfit(solution[1]).max()) < EXPLAINED_MISFIT
+
+
+def _smooth(problem: JointSpectrum, point: WorkingPoint, fall_power: int) -> Solution:
+    """The problem with smooth spectra of the forces, and its point without modes."""
+    smooth = replace(problem, octaves=PLAIN_OCTAVES, fall_power=fall_power)
+    return smooth, _tried(smooth, _with_scanned_stiffness(smooth, start_values(smooth, point)))
+
+
+def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
+    """The point from values of another rig."""
+    return problem.maximised(values, tolerance_nats=TRIED_TOLERANCE_NATS)
+
+
+def _at_same_resonance(
+    problem: JointSpectrum, cap: int, old: JointSpectrum, cap0: int, values: JointValues, heavier: float
+) -> float:
+    """ln of the stiffness of a bearing that leaves its cap, so much heavier, the stiffness per mass with the shaft.
+
+    cap, cap0 : its number in the new and in the old problem. values : of the old one. heavier : ln of the mass ratio.
+    """
+    kL = float(np.exp(values.stiffness[cap0]))
+    f0 = np.sqrt(kL / old.mass[cap0]) / (2.0 * np.pi)
+    at = [int(np.argmin(np.abs(one.spectra.f_hz - f0))) for one in (old, problem)]
+    shaft, new = float(old.shaft[at[0], cap0, cap0].real), float(problem.shaft[at[1], cap, cap].real)
+    ratio = float(np.exp(heavier))
+    return float(np.log(max(ratio * (kL + shaft) - new, MIN_KEPT_STIFFNESS_REL * ratio * kL)))
+
+
+def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> JointValues:
+    """Values with the stiffness of all bearings, then of each, at which the spectra differ least from their shapes.
+
+    The spectra of the forces are those that explain the rest.
+    """
+    part = _thinned(problem, SCANNED_EACH)
+    caps = np.eye(problem.mass.size)
+    for moved in (np.ones(problem.mass.size), *caps, *caps):
+        tried = [replace(values, stiffness=values.stiffness + u * moved) for u in (0.0, *np.log(SCANNED_FACTORS))]
+        values = tried[int(np.argmin([_shape_misfit(part, v)[0] for v in tried]))]
+    return replace(values, force=values.force + _shape_misfit(problem, values)[1])
+
+
+def _thinned(problem: JointSpectrum, step: int) -> JointSpectrum:
+    """The problem with one of `step` cells."""
+    cells = {name: getattr(problem.spectra, name)[::step] for name in ("f_hz", "psd", "n", "noise")}
+    rotor = {name: getattr(problem, name)[::step] for name in ("Z0", "laws", "shape", "shaft")}
+    return replace(problem, spectra=replace(problem.spectra, **cells), **rotor)
+
+
+def _shape_misfit(problem: JointSpectrum, values: JointValues) -> tuple[float, Array]:
+    """Variance of ln(measured / model) that no spectra of the forces explain, summed over caps; infinite for no model.
+
+    And (caps, splines) the change of these spectra that explains the rest.
+    """
+    try:
+        point = problem.at(values)
+    except np.linalg.LinAlgError:
+        return np.inf, np.zeros_like(values.force)
+    ln_power = np.log(np.einsum("fii->fi", point.signal).real + point.N)
+    ln_ratio = np.log(np.einsum("fii->fi", problem.spectra.psd).real) - ln_power
+    change = np.linalg.lstsq(problem.basis, ln_ratio, rcond=None)[0]
+    return float(np.sum(np.var(ln_ratio - problem.basis @ change, axis=0))), np.asarray(change.T)

@@ -8,14 +8,15 @@ import pytest
 from hidden_effects import ROOT
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.hypotheses.rig_file import (
+from estimator.diagnosis.hypotheses.rig_changes import (
     InvertedChannel,
     ScaledMass,
     ScaledSpring,
     SwappedChannels,
     coupling_hypotheses,
-    likeliest_mistake,
 )
+from estimator.diagnosis.hypotheses.rig_file import likeliest_mistake
+from estimator.diagnosis.verdict.mistake import explaining_mistake
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -60,9 +61,11 @@ def test_one_bearing_alone_has_no_witness() -> None:
 def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -> None:
     true = replace(coupled(), band=(600.0, 2400.0))
     y = simulate(true, RATE_HZ, 3.0, seed=3, noise=0.02)
-    assert likeliest_mistake(true, y, RATE_HZ) is None
+    trial = likeliest_mistake(true, y, RATE_HZ)
+    assert trial.mistake is None
+    assert trial.tried == trial.asked == len(coupling_hypotheses(true))
     typed = replace(true, mass={**true.mass, "bearing1": 0.4})
-    found = likeliest_mistake(typed, y, RATE_HZ)
+    found = likeliest_mistake(typed, y, RATE_HZ).mistake
     assert found is not None
     assert found.hypothesis == ScaledMass("bearing1")
     assert found.hypothesis.parameters(typed, found.values)["rig.mass.bearing1"].value == pytest.approx(0.2, rel=0.1)
@@ -73,10 +76,27 @@ def test_an_inverted_channel_is_told_beside_structural_modes() -> None:
     true = replace(coupled(), band=(600.0, 2400.0))
     y = simulate(with_support_modes(true), RATE_HZ, 3.0, seed=3, noise=0.02)
     y[:, 0] *= -1.0
-    found = likeliest_mistake(true, y, RATE_HZ)
+    found = likeliest_mistake(true, y, RATE_HZ).mistake
     assert found is not None
     assert found.hypothesis == InvertedChannel(0)
     assert "b1x" in found.hypothesis.text(true, found.values)
+
+
+def test_a_trial_that_is_cut_says_how_many_mistakes_were_tried() -> None:
+    true = replace(coupled(), band=(600.0, 2400.0))
+    y = simulate(true, RATE_HZ, 3.0, seed=3, noise=0.02)
+    found, (said,) = explaining_mistake(true, y, RATE_HZ, None, max_work=3e5)
+    assert found is None
+    assert said.code == "mistakes_untried"
+    assert f"0 of {len(coupling_hypotheses(true))} were tried" in said.text
+
+
+def test_channels_that_are_swapped_across_the_bearings_are_two_answers() -> None:
+    model = coupled()
+    across = tuple(replace(c, name=c.name.replace("x", "y"), direction="y") for c in model.channels)
+    both = replace(model, channels=(*model.channels, *across), linear={}, band=(600.0, 2400.0))
+    swaps = [h for h in coupling_hypotheses(both) if isinstance(h, SwappedChannels)]
+    assert {(h.first, h.second) for h in swaps} == {(0, 2), (0, 3), (1, 2), (1, 3)}
 
 
 def test_masses_that_the_shaft_has_to_give_leave_no_witness() -> None:

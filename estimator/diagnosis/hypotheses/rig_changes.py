@@ -1,0 +1,196 @@
+"""Mistakes in the rig file as hypotheses: a mass, the shaft's spring, two channels swapped, one inverted.
+
+A wrong number or a wrong channel changes what the shaft is thought to carry from one bearing to the other. On one
+bearing alone there is no witness. A wrong speed or rate is told by the machine layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Protocol
+
+from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
+from estimator.identification.batch.unknown_mass import places_without_mass
+from estimator.identification.structure.rig_spectra import Arrangement
+from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
+from estimator.results import Parameter
+
+TRIAL_FACTORS = (0.1, 0.5, 2.0, 10.0)  # of a mass or a spring: slips of a unit, a factor of two, of a half
+MAX_FACTOR_SD_LOG = 0.2  # beyond which a factor is said to be rough
+INVERTED_ERROR = -2.0  # relative error of the gain of an inverted channel
+
+Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
+
+
+class Hypothesis(Protocol):
+    """A named change of the model with a few numbers."""
+
+    @property
+    def name(self) -> str:
+        """Key of what it changes, such as "rig.mass.bearing1"."""
+        ...
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        """Values to try; none where the hypothesis makes no sense for this rig."""
+        ...
+
+    def apply(self, model: Model, values: Values) -> Model:
+        """The model with the change."""
+        ...
+
+    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
+        """Where the channels are with the change. places : of the channels as given."""
+        return channels
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        """What the rig file would say, by key."""
+        ...
+
+    def text(self, model: Model, values: Values) -> str:
+        """What to check, one line."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledMass(Hypothesis):
+    """The mass of the disc or of a cap is another one. key : of [rig.mass]."""
+
+    key: str
+
+    @property
+    def name(self) -> str:
+        return f"rig.mass.{self.key}"
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in model.mass else []
+
+    def apply(self, model: Model, values: Values) -> Model:
+        return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        mass = values[0] * model.mass[self.key]
+        return {self.name: Parameter.from_estimate(mass, values[1] * mass, "kg")}
+
+    def text(self, model: Model, values: Values) -> str:
+        return _factor_text(self.name, values)
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledSpring(Hypothesis):
+    """The shaft has another stiffness."""
+
+    name: str = "rig.shaft_spring.stiffness"
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [(factor, 1.0) for factor in TRIAL_FACTORS]
+
+    def apply(self, model: Model, values: Values) -> Model:
+        return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        stiffness = values[0] * model.shaft_stiffness
+        return {self.name: Parameter.from_estimate(stiffness, values[1] * stiffness, "N/m")}
+
+    def text(self, model: Model, values: Values) -> str:
+        return _factor_text(self.name, values)
+
+
+@dataclass(frozen=True, slots=True)
+class SwappedChannels:
+    """Two channels have each other's place. first, second : their numbers."""
+
+    first: int
+    second: int
+
+    @property
+    def name(self) -> str:
+        return f"channel.{self.first}.{self.second}"
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [()]
+
+    def apply(self, model: Model, values: Values) -> Model:
+        channels = list(model.channels)
+        one, other = channels[self.first], channels[self.second]
+        channels[self.first] = replace(one, node=other.node, direction=other.direction)
+        channels[self.second] = replace(other, node=one.node, direction=one.direction)
+        return replace(model, channels=tuple(channels))
+
+    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
+        order = list(channels.channel_of)
+        one, other = (places.index(model.channels[k].place) for k in (self.first, self.second))
+        order[one], order[other] = order[other], order[one]
+        return replace(channels, channel_of=tuple(order))
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        names = [model.channels[k].name for k in (self.first, self.second)]
+        return {f"channel.{name}.swapped": Parameter(1.0, 0.0, "1") for name in names}
+
+    def text(self, model: Model, values: Values) -> str:
+        one, other = (model.channels[k].name for k in (self.first, self.second))
+        return f"check the cables: {one} and {other} are swapped"
+
+
+@dataclass(frozen=True, slots=True)
+class InvertedChannel:
+    """A channel has the other sign. number : of the channel."""
+
+    number: int
+
+    @property
+    def name(self) -> str:
+        return f"channel.{self.number}.sign"
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [()]
+
+    def apply(self, model: Model, values: Values) -> Model:
+        place = model.channels[self.number].place
+        turned = EffectUse(
+            SENSOR_GAIN.name, {place: {SENSOR_GAIN.parameters[0].name: Setting(INVERTED_ERROR, fixed=True)}}
+        )
+        return replace(model, effects=(*(u for u in model.effects if u.name != turned.name), turned))
+
+    def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
+        own = places.index(model.channels[self.number].place)
+        return replace(channels, sign=tuple(-s if i == own else s for i, s in enumerate(channels.sign)))
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        return {f"channel.{model.channels[self.number].name}.sign": Parameter(-1.0, 0.0, "1")}
+
+    def text(self, model: Model, values: Values) -> str:
+        own = model.channels[self.number]
+        across = [c.name for c in model.channels if c.direction == own.direction and c.kind in MOTION_UNITS]
+        return f"check the mounting: the sign of {' or '.join(across)} is inverted"
+
+
+def _factor_text(name: str, values: Values) -> str:
+    """What to check of a number that a factor changes."""
+    rough = " or so" if values[1] > MAX_FACTOR_SD_LOG else ""
+    return f"check {name}: with {values[0]:.2g} times its value{rough} the model explains the spectra of the caps"
+
+
+def coupling_hypotheses(model: Model) -> list[Hypothesis]:
+    """The mistakes that the coupling of the bearings shows; none without two bearings on a shaft.
+
+    Of a rotor given by matrices the masses beside it and the channels: its own numbers come from a program.
+    """
+    nodes = {place.split(".")[0] for place in model.places}
+    if places_without_mass(model) or any("." in key for key in model.mass):  # the shaft has to give masses: no witness
+        return []
+    of_disc = model.rotor is None and model.shaft != "none" and model.shaft_stiffness > 0.0 and "disc" in model.mass
+    if not (of_disc or model.rotor is not None) or len(nodes) < 2:
+        return []
+    moving = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
+    alike = [
+        (i, j) for i, j in combinations(moving, 2)
+        if model.channels[i].kind == model.channels[j].kind and model.channels[i].place != model.channels[j].place
+        and len(moving) > 2 and model.channels[i].direction != model.channels[j].direction
+    ]  # fmt: skip
+    first_bearing = [k for k in moving if model.channels[k].node == min(nodes)]
+    return [
+        *(ScaledMass(key) for key in model.mass), *([ScaledSpring()] if of_disc else []),
+        *(SwappedChannels(i, j) for i, j in alike), *(InvertedChannel(k) for k in first_bearing),
+    ]  # fmt: skip
