@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -318,7 +318,7 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
         said.append(Message("nearest_leaves", text))
         if nearest.law is not None:
             state = min(nearest.places), "velocity" if nearest.law.state == "velocity" else "displacement"
-        if (pair := fitting_pair(context, tried)) is not None:
+        if (pair := fitting_pair(context, tried, entries)) is not None:
             said.append(Message(TWO_LAWS, f"two laws together fit: {pair.effect}"))
     else:
         text = "part of the residual force is predictable, but no effect of the catalogue explains it significantly"
@@ -333,16 +333,24 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
     return BearingJudgement("unknown", tuple(entries), curve, messages=tuple(said), pair=pair)
 
 
-def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
+def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] = ()) -> Entry | None:
     """Two laws that together leave little, where neither does alone, as one; None where there are none.
 
-    Laws of one state are to leave little of it, others of all that follows a state.
+    Laws of one state are to leave little of it, others of all that follows a state at their bearing. The likeliest pair
+    is the answer, if it is the likelier by 20 to 1.
 
-    tried : candidates that leave too much, the likeliest first.
+    tried : candidates that leave too much, the likeliest first. entries : all candidates; of each state that none of
+    those has the likeliest significant one is tried beside the first of them.
     """
     part, before = context.survey.part, context.survey.missing
     laws = [e for e in tried if e.law is not None][:MAX_PAIRED]
-    for one, other in combinations(laws, 2):
+    states = {e.law.state for e in laws if e.law is not None}
+    others: dict[str, Entry] = {}
+    for e in entries:
+        if e.law is not None and e.law.state not in states and e.p_value <= THRESHOLDS.max_p_value:
+            others.setdefault(e.law.state, e)
+    found: list[tuple[float, Entry]] = []
+    for one, other in (*combinations(laws, 2), *product(laws[:2], others.values())):
         try:
             both = fit_model(part.data, [*part.placed, *one.placed, *other.placed], start=part)
         except NotFiniteError:
@@ -352,17 +360,24 @@ def fitting_pair(context: Context, tried: list[Entry]) -> Entry | None:
         rest = left_of_own_state(before, left, one)[0] if alike else _left_of_states(before, left)
         if rest <= THRESHOLDS.max_left_rel:
             own = {law.key for law in (*one.placed, *other.placed)}
-            return replace(
+            cost = THRESHOLDS.parameter_cost_nats * sum(sum(law.free) for law in both.placed)
+            pair = replace(
                 one, effect=f"{one.effect} + {other.effect}", at=tuple(dict.fromkeys((*one.at, *other.at))),
                 placed=tuple(law for law in both.placed if law.key in own),
             )  # fmt: skip
-    return None
+            found.append((both.fit.log_likelihood - cost, pair))
+    found.sort(key=lambda scored: -scored[0])
+    alone = len(found) == 1 or len(found) > 1 and found[0][0] - found[1][0] >= THRESHOLDS.min_ahead_nats
+    return found[0][1] if alone else None
 
 
 def _left_of_states(before: missing_force.MissingForce, after: missing_force.MissingForce) -> float:
-    """All force that follows a state, rms over rms before."""
-    was, rest = (sum(r.power_N2 for r in found.residuals if r.found) for found in (before, after))
-    return float(np.sqrt(max(rest, 0.0) / was)) if was > 0.0 else 1.0
+    """All force that follows a state of its own bearing, rms over rms before."""
+
+    def power(found: missing_force.MissingForce) -> float:
+        return sum(g.power_N2 for r in found.residuals for g in r.found if g.group != OTHER_BEARING)
+
+    return float(np.sqrt(max(power(after), 0.0) / was)) if (was := power(before)) > 0.0 else 1.0
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
