@@ -87,10 +87,11 @@ def mistake_entry(
 def _explains(survey: BearingSurvey | None, left: BearingSurvey) -> bool:
     """Whether the corrected rig leaves a fifth of the missing force, or no force that the other bearing predicts.
 
+    What is left is judged by its lower 95 % limit, as of a law.
     A corrected rig that can be fitted, where the given one cannot, explains that much.
     """
     if survey is None:
         return True
     before, after = survey.missing, left.missing
     coupled = [any(d.against == OTHER_BEARING for d in one.disturbances) for one in (before, after)]
-    return after.interval()[0] <= THRESHOLDS.max_left_rel * before.interval()[0] or coupled == [True, False]
+    return after.interval()[1] <= THRESHOLDS.max_left_rel * before.interval()[0] or coupled == [True, False]
