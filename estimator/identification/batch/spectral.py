@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.residual.measured_path import force_noise_ratio
-from estimator.identification.structure.spectral_cells import mean_power
+from estimator.identification.structure.spectral_models import mean_power
 from estimator.likelihood.fitting.gauss_newton import last_step_sd
 from estimator.likelihood.motion.prepare import RECORD_LONG_CODE, check_record
 from estimator.likelihood.path.working_point import WorkingPoint

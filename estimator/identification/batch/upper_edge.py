@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.structure.spectral_cells import cells_of
-from estimator.identification.structure.spectral_models import base_model
+from estimator.identification.structure.spectral_models import base_model, cells_of
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Message

@@ -20,14 +20,7 @@ from estimator.model.background import Background, BearingBackground, ModeForm, 
 from estimator.model.rig import Model
 
 from .cross_spectra import Work
-from .joint_spectrum import (
-    DAMPING_RATIO_LIMITS,
-    MASS_RATIO_LIMITS,
-    JointPoint,
-    JointSpectrum,
-    JointValues,
-    ModePlace,
-)
+from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
     caps_by_direction,
     measured_spectra,
@@ -35,29 +28,10 @@ from .spectral_problem import (
     start_values,
     with_known_background,
 )
-from .spectral_shape import (
-    EXPLAINED_SHARE,
-    MAX_BACKGROUND_DEPTH_RMS,
-    MIN_UNKNOWN_DEPTH_RMS,
-    nats_of_one_cause,
-)
+from .spectral_shape import MAX_BACKGROUND_DEPTH_RMS, nats_of_one_cause
+from .thresholds import LIMITS
 
 MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
-MAX_MODES_PER_CAP = 6
-KNOT_OCTAVES = (2.0, 1.0)  # distances of the knots of the spectrum of the force, tried in turn
-FALL_POWERS = (8, 16, 32)  # of the frequency in ln S, towards the upper edge: an unknown filter, a mounting resonance
-MIN_EDGE_RATIO = 2.0  # of the upper edge over a resonance, for a fall in the spectrum that is not the bearing's
-MIN_KNOT_WIDTHS = 4.0  # the same in half-power widths of the bearing's resonance: no bend within it
-SCANNED_PER_OCTAVE = 40
-SCANNED_DAMPING = (0.006, 0.02, 0.06)
-PROPOSAL_COUNT = 4  # fitted at each step
-BEST_SCORES = 60  # of a form at a cap, among which the proposals are
-SAME_FREQUENCY_LN = 0.1  # proposals nearer than this are one
-SURE_MASS_SD = 0.1  # of ln(mass): a mode as sure is worth some 50 nats
-TRIED_STEPS, TRIED_TOLERANCE_NATS = 12, 1.0
-MAX_IDLE_MODES = 2  # that a mode makes idle by its other form
-MIN_DAMPING_REL = 0.1  # of the damping of a bearing before, where a mode changes its form
-SHAPE_KNOTS = 64  # of the spectrum of the force in the result
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -87,7 +61,7 @@ def one_cause_is_enough(model: Model, point: WorkingPoint, gain_nats: float) -> 
     cause_nats = nats_of_one_cause(model, point)
     if not cause_nats:
         return cause_nats is None
-    return gain_nats < cause_nats / EXPLAINED_SHARE + MIN_GAIN_NATS * force_dispersion(point)
+    return gain_nats < cause_nats / LIMITS.explained_share + MIN_GAIN_NATS * force_dispersion(point)
 
 
 def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tuple[Background | None, float]:
@@ -149,7 +123,7 @@ def search_background(
 
     The problem as it is where it explains the spectra, unless the search is to be thorough.
     """
-    if not thorough and float(problem.misfit(point).max()) < MIN_UNKNOWN_DEPTH_RMS:
+    if not thorough and float(problem.misfit(point).max()) < LIMITS.min_unknown_depth_rms:
         return problem, point
     while True:
         problem, point = _with_more(problem, point, least)
@@ -162,12 +136,12 @@ def search_background(
 
 def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
     """The likeliest problem and point, modes and knots added while they gain `least` nats."""
-    octaves = [o for o in KNOT_OCTAVES if _least_octaves(problem, point) <= o < problem.octaves]
-    while len(point.values.modes) < MAX_MODES_PER_CAP * problem.mass.size:
+    octaves = [o for o in LIMITS.tried_knot_octaves if _least_octaves(problem, point) <= o < problem.octaves]
+    while len(point.values.modes) < LIMITS.max_modes_per_cap * problem.mass.size:
         tried = list(_tried_modes(problem, point))
         finer = [replace(problem, octaves=own) for own in octaves[:1]]
         if problem.fall_power == 0 and _resonates_low(problem, point):
-            finer += [replace(problem, fall_power=power) for power in FALL_POWERS]
+            finer += [replace(problem, fall_power=power) for power in LIMITS.fall_powers]
         tried += [(other, tried_point(other, other.respaced(point.values, problem))) for other in finer]
         sound = [one for one in tried if _resonates(*one)]
         there, best = max(sound, key=lambda one: one[1].log_likelihood, default=(problem, point))
@@ -202,7 +176,7 @@ def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, lea
     In its new form a mode may make another one idle.
     """
     found = problem.maximised(other)
-    if found.log_likelihood < point.log_likelihood - MAX_IDLE_MODES * least:
+    if found.log_likelihood < point.log_likelihood - LIMITS.max_idle_modes * least:
         return point
     if found.log_likelihood < point.log_likelihood:
         found = without_idle_modes(problem, found, least)
@@ -260,7 +234,7 @@ def _in_other_form(problem: JointSpectrum, values: JointValues, k: int) -> Joint
     modes, q = list(values.modes), values.q.copy()
     modes[k] = ModePlace(cap, "attached" if form == "support" else "support")
     q[k] = _mode_values(problem, modes[k], np.sqrt(new_w2) / (2.0 * np.pi), 0.5 * new_damp / np.sqrt(new_w2), new_mass)
-    return replace(values.with_bearing(cap, new_kL, max(new_c, MIN_DAMPING_REL * c)), modes=tuple(modes), q=q)
+    return replace(values.with_bearing(cap, new_kL, max(new_c, LIMITS.min_damping_rel * c)), modes=tuple(modes), q=q)
 
 
 def _all_under_bearing(problem: JointSpectrum, values: JointValues, cap: int) -> JointValues:
@@ -278,7 +252,7 @@ def _all_under_bearing(problem: JointSpectrum, values: JointValues, cap: int) ->
 def _mode_values(problem: JointSpectrum, place: ModePlace, f_hz: float, damping: float, mass: float) -> Array:
     """(3,) values of a mode in logarithms, damping ratio and mass (kg) within their limits."""
     ratio = np.clip(mass / problem.mass[place.cap], *MASS_RATIO_LIMITS[place.form])
-    return np.log([f_hz, np.clip(damping, *DAMPING_RATIO_LIMITS), ratio])
+    return np.log([f_hz, np.clip(damping, *LIMITS.damping_ratio_limits), ratio])
 
 
 def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
@@ -287,7 +261,7 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
     sd = np.sqrt(np.abs(np.diag(np.linalg.pinv(products(J)))))
     mass_sd = sd[sd.size - 3 * len(point.values.modes) :].reshape(-1, 3)[:, 2]
     for k in reversed(range(len(point.values.modes))):
-        if mass_sd[k] < SURE_MASS_SD:
+        if mass_sd[k] < LIMITS.sure_mass_sd:
             continue
         bare = problem.maximised(point.values.without_mode(k))
         if point.log_likelihood - bare.log_likelihood < least:
@@ -297,33 +271,33 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
 
 def _resonates_low(problem: JointSpectrum, point: JointPoint) -> bool:
     """Whether all bearings resonate so far below the upper edge of the band that a fall there is not theirs."""
-    return bool(_resonances_hz(problem, point).max() * MIN_EDGE_RATIO < problem.spectra.f_hz[-1])
+    return bool(_resonances_hz(problem, point).max() * LIMITS.min_edge_ratio < problem.spectra.f_hz[-1])
 
 
 def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:
     """Least distance of the knots that leaves the force without a bend in the resonance of a bearing."""
     k, c = np.exp(point.values.stiffness), np.exp(point.values.damping)
     zeta = c / (2.0 * np.sqrt(k * problem.mass))
-    return float(np.log2(1.0 + MIN_KNOT_WIDTHS * 2.0 * zeta.min()))
+    return float(np.log2(1.0 + LIMITS.min_knot_widths * 2.0 * zeta.min()))
 
 
 def tried_point(problem: JointSpectrum, values: JointValues) -> JointPoint:
     """The point after some steps, to compare values by."""
-    return problem.maximised(values, TRIED_STEPS, TRIED_TOLERANCE_NATS)
+    return problem.maximised(values, LIMITS.tried_steps, LIMITS.tried_tolerance_nats)
 
 
 def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[JointSpectrum, JointPoint]]:
     """Points with one more mode, those that promise most."""
     seen: list[tuple[ModePlace, float]] = []
     for _, mode, q in sorted(_scores(problem, point), key=lambda one: -one[0]):
-        if any(mode == other and abs(q[0] - f) < SAME_FREQUENCY_LN for other, f in seen):
+        if any(mode == other and abs(q[0] - f) < LIMITS.same_frequency_ln for other, f in seen):
             continue
         seen.append((mode, float(q[0])))
         try:
             yield problem, tried_point(problem, point.values.with_mode(mode, q))
         except np.linalg.LinAlgError:
             continue
-        if len(seen) == PROPOSAL_COUNT:
+        if len(seen) == LIMITS.proposal_count:
             return
 
 
@@ -333,8 +307,8 @@ def _scores(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[float, 
     spectra, s = problem.spectra, point.s
     R = problem.matrices(r - np.linalg.lstsq(products(J), J @ r, rcond=1e-10)[0] @ J)
     low, high = spectra.f_hz[0], spectra.f_hz[-1]
-    f = np.geomspace(low, high, int(np.log2(high / low) * SCANNED_PER_OCTAVE) + 2)
-    w0, zeta = (2.0 * np.pi * z.ravel()[:, None] for z in np.meshgrid(f, SCANNED_DAMPING, indexing="ij"))
+    f = np.geomspace(low, high, int(np.log2(high / low) * LIMITS.scanned_per_octave) + 2)
+    w0, zeta = (2.0 * np.pi * z.ravel()[:, None] for z in np.meshgrid(f, LIMITS.scanned_damping, indexing="ij"))
     zeta = zeta / (2.0 * np.pi)
     damp = 2.0 * zeta * w0 * s
     den = s * s + damp + w0 * w0
@@ -351,7 +325,7 @@ def _scores(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[float, 
             size = np.maximum(score, 0.0) / information
             gain = 0.5 * score * size
             low, high = MASS_RATIO_LIMITS[form]
-            for k in np.argsort(-gain)[:BEST_SCORES]:
+            for k in np.argsort(-gain)[: LIMITS.best_scores]:
                 if size[k] > 0.0:
                     ratio = float(np.clip(1.0 / size[k] if form == "support" else size[k], 1.5 * low, 0.7 * high))
                     yield float(gain[k]), ModePlace(i, form), np.log([w0[k, 0] / (2 * np.pi), zeta[k, 0], ratio])
@@ -378,7 +352,7 @@ def backgrounds(
     known = np.diag(np.linalg.pinv((products(J))[: 4 * caps, : 4 * caps]))[2 * caps :]
     more = np.sqrt(np.maximum(whole - known, 0.0).reshape(2, caps) + _sd_of_forms(problem, found, point) ** 2)
     cells = problem.spectra.f_hz
-    f = cells if problem.fall_power else np.geomspace(cells[0], cells[-1], SHAPE_KNOTS)
+    f = cells if problem.fall_power else np.geomspace(cells[0], cells[-1], LIMITS.shape_knots)
     for cap, i in enumerate(problem.spectra.places):
         ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
         psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))

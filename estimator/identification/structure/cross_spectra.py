@@ -16,11 +16,7 @@ from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.signals.band_limit import noise_shape
 
 from .excitation import TAPER_COUNT, TAPER_EFFICIENCY, beside_lines, first_of_cells, sine_tapers
-
-CELL_WIDTH_REL = 0.004  # of its frequency: a third of the half-power width of a mode of 0.6 % damping
-PIECES_PER_RECORD = 12  # that the spectra are averaged over, at least
-
-SCORE_OVERHEAD_DERIVATIVES = 2e4  # that take as long as what a score of any size costs
+from .thresholds import LIMITS
 
 
 class SearchTooLongError(Exception):
@@ -36,7 +32,7 @@ class Work:
 
     def add(self, derivatives: int) -> None:
         """Count one score of so many derivatives. Raises SearchTooLongError beyond the limit."""
-        self.done += derivatives + SCORE_OVERHEAD_DERIVATIVES
+        self.done += derivatives + LIMITS.score_overhead_derivatives
         if self.done > self.limit:
             raise SearchTooLongError
 
@@ -92,7 +88,7 @@ def cross_spectra(
             S += F[:, :, None] * F[:, None, :].conj()
     T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * TAPER_COUNT * len(pieces)))
     S = T @ S @ T.conj().swapaxes(1, 2)
-    first_bins = first_of_cells(f[keep] / f[keep[0]], CELL_WIDTH_REL)
+    first_bins = first_of_cells(f[keep] / f[keep[0]], LIMITS.matrix_cell_width_rel)
     bins = np.diff(np.append(first_bins, keep.size))
     centre = np.add.reduceat(f[keep], first_bins) / bins
     kinds = tuple(data.kinds[i] for i in places)
@@ -107,7 +103,7 @@ def cross_spectra(
 
 def _pieces(data: MotionRecord) -> tuple[list[int], int]:
     """First rows of pieces of neighbouring blocks, and their length."""
-    together = max(data.blocks // PIECES_PER_RECORD, 1)
+    together = max(data.blocks // LIMITS.min_matrix_pieces, 1)
     while True:
         ends = np.cumsum([0, *(part.stop - part.start for part in data.stretches)]) // data.block
         first = [b for a, end in zip(ends, ends[1:], strict=False) for b in range(a, end - together + 1, together)]

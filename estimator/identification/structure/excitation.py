@@ -13,14 +13,10 @@ from estimator.arrays import Array
 from estimator.identification.machine.pieces import Pieces
 from estimator.model.rig import LineBand
 
-CELL_WIDTH_REL = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
-PIECES_PER_RECORD, SHORT_PIECES, SHORT_S = 8, 4, 10.0  # blocks of a record, and of one shorter than so many s
-MIN_PIECE_S, MAX_PIECE_S = 0.05, 20.0  # of a block; a longer one resolves more than modes need
-MAX_BLOCKS = 16  # that are kept apart
+from .thresholds import LIMITS
+
 TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
 TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
-MIN_LINE_REACH_BINS, SIDELOBE_BINS = 3, 1.5  # a line reaches as far as its side lobes, which fall with the distance^4
-TOOTH_REACH_BINS, TOOTH_BLUR_REL = 2, 1e-3  # of a line of a strike train: of the tapers, and of slip
 KIND_ORDER = {"displacement": 2, "velocity": 1, "acceleration": 0}  # times j w to acceleration
 
 
@@ -83,8 +79,8 @@ def cell_spectrum(
         None where the record is too short for its band, or nothing moves in it.
     """
     seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
-    seconds = max(seconds / (SHORT_PIECES if seconds < SHORT_S else PIECES_PER_RECORD), MIN_PIECE_S)
-    seconds = min(seconds, MAX_PIECE_S)
+    parts = LIMITS.short_pieces if seconds < LIMITS.short_s else LIMITS.pieces_per_record
+    seconds = min(max(seconds / parts, LIMITS.min_piece_s), LIMITS.max_piece_s)
     pieces = Pieces(y, rate_hz, max_seconds=seconds)
     high = min(band[1], 0.45 * rate_hz)
     if len(pieces) < 2 or band[0] * pieces.seconds < 4.0 or high < 1.2 * band[0]:
@@ -97,7 +93,7 @@ def cell_spectrum(
     keep = np.flatnonzero(np.all([inside, beside_lines(f, lines), *(~_teeth(f, train) for train in trains_hz)], axis=0))
     if keep.size < 32:
         return None
-    first = first_of_cells(f[keep] / band[0], CELL_WIDTH_REL)
+    first = first_of_cells(f[keep] / band[0], LIMITS.cell_width_rel)
     bins = np.diff(np.append(first, keep.size))
     centre = np.add.reduceat(f[keep], first) / bins
     scale = (2.0 * np.pi * centre) ** (2 * KIND_ORDER[kind])
@@ -127,8 +123,9 @@ def sine_tapers(size: int) -> Array:
 def _piece_spectra(pieces: Pieces) -> tuple[Array, Array]:
     """(bins,) mean PSD over the pieces, and (blocks, bins) PSD of up to sixteen groups of pieces."""
     tapers = sine_tapers(pieces.size)
-    block_of = np.repeat(np.arange(MAX_BLOCKS), [len(g) for g in np.array_split(np.arange(len(pieces)), MAX_BLOCKS)])
-    blocks = np.zeros((min(len(pieces), MAX_BLOCKS), pieces.size // 2 + 1))
+    groups = np.array_split(np.arange(len(pieces)), LIMITS.max_blocks)
+    block_of = np.repeat(np.arange(LIMITS.max_blocks), [len(g) for g in groups])
+    blocks = np.zeros((min(len(pieces), LIMITS.max_blocks), pieces.size // 2 + 1))
     done = 0
     for group in pieces.groups():
         for taper in tapers:
@@ -144,14 +141,14 @@ def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
     if not train_hz > 0.0:
         return np.zeros(f.size, dtype=bool)
     number = np.maximum(np.round(f / train_hz), 1.0)
-    teeth = np.abs(f - number * train_hz) <= TOOTH_REACH_BINS * f[1] + TOOTH_BLUR_REL * f
-    return np.asarray(teeth & (TOOTH_REACH_BINS * f[1] + TOOTH_BLUR_REL * f < 0.25 * train_hz))
+    teeth = np.abs(f - number * train_hz) <= LIMITS.tooth_reach_bins * f[1] + LIMITS.tooth_blur_rel * f
+    return np.asarray(teeth & (LIMITS.tooth_reach_bins * f[1] + LIMITS.tooth_blur_rel * f < 0.25 * train_hz))
 
 
 def beside_lines(f: Array, lines: Sequence[LineBand]) -> NDArray[np.bool_]:
     """(bins,) whether a bin at f Hz, evenly spaced, is beside all lines and their skirts under the tapers."""
     out = np.ones(f.size, dtype=bool)
     for line in lines:
-        skirt = f[1] * (MIN_LINE_REACH_BINS + SIDELOBE_BINS * (line.power_over_psd_hz / f[1]) ** 0.25)
+        skirt = f[1] * (LIMITS.min_line_reach_bins + LIMITS.sidelobe_bins * (line.power_over_psd_hz / f[1]) ** 0.25)
         out &= (f < line.low_hz - skirt) | (f > line.high_hz + skirt)
     return out

@@ -23,17 +23,10 @@ from estimator.arrays import Array, Complexes, products
 from estimator.model.background import ModeForm, StructuralMode
 
 from .cross_spectra import CrossSpectra, Work
+from .thresholds import LIMITS
 
 # in cap masses: a lighter support, or a heavier part on the cap, is a rotor of its own
 MASS_RATIO_LIMITS: dict[ModeForm, tuple[float, float]] = {"support": (0.7, 300.0), "attached": (3e-4, 0.4)}
-DAMPING_RATIO_LIMITS = (1e-3, 0.12)  # of structures of metal with joints (Beards, Structural Vibration, 1996, ch. 3)
-BAND_MARGINS_REL = (0.8, 1.05)  # of a mode's frequency: lower and upper edge of the band
-SPLINE_PRIOR_SD = 2.0  # of ln S about its mean: the force varies by 9 dB along the band
-DAMPING_PRIOR_SD = 1.0  # of ln c about its start: a mode as wide as the bearing's resonance takes its damping away
-MAX_STEP = 1.0  # of any parameter, in logarithms
-COHERENCE_CELLS = 40  # of about equal width in log frequency
-FIRST_COHERENCE_CELL = 8  # narrow cells in the first wide one
-SPLINE_DEGREE = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +202,7 @@ class JointSpectrum:
         R = W @ spectra.psd @ W.conj().swapaxes(1, 2)
         log_det = 2.0 * np.log(np.abs(root[:, caps, caps])).sum(axis=1)
         nats = -float(spectra.n @ (log_det + np.einsum("fii->f", R).real))
-        prior = 0.5 * float(np.sum(((values.damping - self.damping0) / DAMPING_PRIOR_SD) ** 2))
+        prior = 0.5 * float(np.sum(((values.damping - self.damping0) / LIMITS.damping_prior_sd) ** 2))
         prior += 0.5 * float(np.einsum("is,st,it->", values.force, self._spline_prior(), values.force))
         return JointPoint(
             values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
@@ -316,7 +309,7 @@ class JointSpectrum:
     def coherence(self, point: JointPoint) -> tuple[float, int]:
         """Log-likelihood ratio, nats, of free cross spectra of the whitened caps in wide cells, and its parameters."""
         n, caps = self.spectra.n, range(self.mass.size)
-        edges = np.geomspace(FIRST_COHERENCE_CELL, n.size, COHERENCE_CELLS + 1)[:-1]
+        edges = np.geomspace(LIMITS.first_coherence_cell, n.size, LIMITS.coherence_cells + 1)[:-1]
         first = np.unique(np.append(0, np.round(edges).astype(int)))
         first = first[first < n.size]
 
@@ -342,7 +335,7 @@ class JointSpectrum:
             while new is None and damped < 1e7:
                 # a parameter without information does not move far
                 more = np.diag(damped * np.diag(information) + 0.1)
-                step = np.clip(np.linalg.solve(information + more, gradient), -MAX_STEP, MAX_STEP)
+                step = np.clip(np.linalg.solve(information + more, gradient), -LIMITS.max_step, LIMITS.max_step)
                 new = self._better(point, point.values.moved(step, low, high))
                 damped = max(0.2 * damped, 1e-7) if new is not None else max(5.0 * damped, 1e-4)
             if new is None:
@@ -360,13 +353,13 @@ class JointSpectrum:
         information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), self._spline_prior())
         first = caps * (splines + 2)
         at = np.arange(first, first + caps)
-        information[at, at], centre[at] = 1.0 / DAMPING_PRIOR_SD**2, self.damping0
+        information[at, at], centre[at] = 1.0 / LIMITS.damping_prior_sd**2, self.damping0
         return information, centre
 
     def _spline_prior(self) -> Array:
         """(splines, splines) information on the coefficients of ln S about their mean."""
         flat = self.flat
-        return np.asarray((np.diag(flat) - np.outer(flat, flat) / flat.sum()) / SPLINE_PRIOR_SD**2)
+        return np.asarray((np.diag(flat) - np.outer(flat, flat) / flat.sum()) / LIMITS.spline_prior_sd**2)
 
     def _better(self, point: JointPoint, values: JointValues) -> JointPoint | None:
         """The point at some values if it is likelier; None if not."""
@@ -378,8 +371,9 @@ class JointSpectrum:
 
     def _limits(self, modes: Sequence[ModePlace]) -> tuple[Array, Array]:
         """(modes, 3) lower and upper limits of the modes."""
-        f = self.spectra.f_hz[[0, -1]] * BAND_MARGINS_REL
-        both = np.array([[f, DAMPING_RATIO_LIMITS, MASS_RATIO_LIMITS[mode.form]] for mode in modes]).reshape(-1, 3, 2)
+        f = self.spectra.f_hz[[0, -1]] * LIMITS.band_margins_rel
+        damping = LIMITS.damping_ratio_limits
+        both = np.array([[f, damping, MASS_RATIO_LIMITS[mode.form]] for mode in modes]).reshape(-1, 3, 2)
         return np.log(both[..., 0]), np.log(both[..., 1])
 
 
@@ -393,7 +387,7 @@ def _spline_basis(x: Array, octaves: float) -> Array:
     pieces = int((x[-1] - x[0]) / np.log(2.0) / octaves)
     if pieces < 1:
         return np.ones((x.size, 1))
-    degree = min(SPLINE_DEGREE, pieces)
+    degree = min(LIMITS.spline_degree, pieces)
     inner = np.linspace(x[0], x[-1], pieces + 1)
     knots = np.concatenate([[inner[0]] * degree, inner, [inner[-1]] * degree])
     return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, degree).toarray())

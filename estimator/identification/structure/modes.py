@@ -21,20 +21,7 @@ from scipy.special import chdtri
 from estimator.arrays import Array
 
 from .excitation import CellSpectrum
-
-KNOT_OCTAVES = 1.0  # least distance of the knots of P
-KNOT_WIDTHS = 4.0  # least distance of the knots in half-power widths of the strongest mode: P may not bend within it
-BROAD_STARTS, BROAD_DAMPING = 5, 0.3  # of a mode that friction damps so much that P passes for it
-MAX_MODES = 8
-MODE_P_VALUE = 1e-4  # of a mode, over all frequencies and widths searched
-WIDTHS_REL = (0.006, 0.012, 0.024, 0.05, 0.1, 0.2)  # half-widths of the humps that are searched for
-MIN_PROMINENCE = 1.0  # power of a mode at its resonance over that of all else there: half of the whole, 3 dB
-DAMPING_LIMITS = (5e-4, 0.7)  # beyond 0.707 an oscillator has no resonance
-MIN_WIDTH_BINS = 3.0  # half-power width of a mode; narrower is a line
-MAX_STEPS = 25  # of scoring
-MAX_DAMPING_SD_REL = 0.5  # of a mode, as of any parameter that is called identifiable
-MAX_REFUSED = 4  # humps that are no sound mode, before the search ends
-EDGE_REL = 0.04  # of its frequency, that a mode stays away from the ends of the band
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +135,7 @@ class _Problem:
         free, damping = self.free(theta), 1e-3
         parts = self.parts(theta)
         value = self.log_likelihood(parts.psd)
-        for _ in range(MAX_STEPS):
+        for _ in range(LIMITS.max_steps):
             J = parts.jacobian[:, free]
             g = J.T @ (self.nu * (self.P / parts.psd - 1.0))
             F = (J * self.nu[:, None]).T @ J
@@ -177,7 +164,7 @@ class _Problem:
         out[k] = np.clip(out[k], -60.0, 20.0)
         tail = out[k + 1 :].reshape(-1, 3)
         tail[:, 0] = np.clip(tail[:, 0], np.log(f[0]), np.log(f[-1]))
-        tail[:, 1] = np.clip(tail[:, 1], np.log(DAMPING_LIMITS[0]), np.log(DAMPING_LIMITS[1]))
+        tail[:, 1] = np.clip(tail[:, 1], np.log(LIMITS.damping_limits[0]), np.log(LIMITS.damping_limits[1]))
         tail[:, 2] = np.clip(tail[:, 2], -40.0, 40.0)
         return out
 
@@ -191,12 +178,12 @@ class _Problem:
         weight = np.concatenate([[0.0], np.cumsum(self.nu)])
         excess = np.concatenate([[0.0], np.cumsum(self.nu * (self.P / psd - 1.0))])
         x, best = self.x, (-np.inf, 0.0, 0.0)
-        for half in WIDTHS_REL:
+        for half in LIMITS.widths_rel:
             a, b = np.searchsorted(x, x - half), np.searchsorted(x, x + half, side="right")
             z = (excess[b] - excess[a]) / np.sqrt(weight[b] - weight[a])
-            z[(x < x[0] + EDGE_REL) | (x > x[-1] - EDGE_REL)] = -np.inf
+            z[(x < x[0] + LIMITS.edge_rel) | (x > x[-1] - LIMITS.edge_rel)] = -np.inf
             for u in banned:
-                z[np.abs(x - u) < EDGE_REL] = -np.inf
+                z[np.abs(x - u) < LIMITS.edge_rel] = -np.inf
             at = int(np.argmax(z))
             if z[at] > best[0]:
                 best = (float(z[at]), float(x[at]), float(np.log(0.6 * half)))
@@ -205,7 +192,7 @@ class _Problem:
     def with_mode(self, theta: Array, parts: _Parts, banned: Sequence[float]) -> Array:
         """A start with one mode more, at the largest hump. banned : ln f that are left out."""
         u, z = self.hump(parts.psd, banned)
-        z = max(z, float(np.log(2.0 * DAMPING_LIMITS[0])))
+        z = max(z, float(np.log(2.0 * LIMITS.damping_limits[0])))
         k = self.k
         at = int(np.argmin(np.abs(self.x - u)))
         zeta2 = np.exp(2.0 * z)
@@ -249,21 +236,21 @@ def _spline_basis(x: Array, knot_octaves: float) -> Array:
     return np.asarray(BSpline.design_matrix(x, knots, 3).toarray())
 
 
-def fit_oscillators(cells: CellSpectrum, max_modes: int = MAX_MODES) -> list[OscillatorFit]:
+def fit_oscillators(cells: CellSpectrum, max_modes: int = LIMITS.max_modes) -> list[OscillatorFit]:
     """Fits with 0, 1, 2 ... modes, each one significant; the last one is the answer.
 
-    A further mode is significant at `MODE_P_VALUE` over all frequencies and widths searched, lies inside the band, is
+    A further mode is significant at `mode_p_value` over all frequencies and widths searched, lies inside the band, is
     wider than a line, and has at least half of the power at its resonance.
     """
-    fits = _with_knots(cells, KNOT_OCTAVES, max_modes)
+    fits = _with_knots(cells, LIMITS.knot_octaves, max_modes)
     if len(fits) == 1:
         return _with_broad_mode(cells) or fits
     for _ in range(2):
         top = fits[-1]
         widest = 2.0 * float(top.damping[np.argmax(top.energy)]) if top.f_hz.size else 0.0
-        if KNOT_WIDTHS * widest <= np.log(2.0) * top.knot_octaves:
+        if LIMITS.knot_widths * widest <= np.log(2.0) * top.knot_octaves:
             break
-        fits = _with_knots(cells, KNOT_WIDTHS * widest / np.log(2.0), max_modes)
+        fits = _with_knots(cells, LIMITS.knot_widths * widest / np.log(2.0), max_modes)
     return fits
 
 
@@ -271,8 +258,8 @@ def _with_broad_mode(cells: CellSpectrum) -> list[OscillatorFit]:
     """Fits without and with one mode where P is one cubic over the band; empty where there is no such mode."""
     problem = _Problem(cells, float((np.log(cells.f_hz[-1] / cells.f_hz[0])) / np.log(2.0)))
     theta, parts, value = problem.maximise(problem.smooth_start())
-    places = np.linspace(problem.x[0], problem.x[-1], BROAD_STARTS + 2)[1:-1]
-    tried = [problem.maximise(problem.first_mode(theta, u, float(np.log(BROAD_DAMPING)))) for u in places]
+    places = np.linspace(problem.x[0], problem.x[-1], LIMITS.broad_starts + 2)[1:-1]
+    tried = [problem.maximise(problem.first_mode(theta, u, float(np.log(LIMITS.broad_damping)))) for u in places]
     best = max(tried, key=lambda fit: fit[2])
     fit = _fit(problem, *best)
     if best[2] - value < _needed_nats(problem) or not _is_sound(cells, fit):
@@ -282,8 +269,8 @@ def _with_broad_mode(cells: CellSpectrum) -> list[OscillatorFit]:
 
 def _needed_nats(problem: _Problem) -> float:
     """Gain of a significant mode, over all frequencies and widths searched."""
-    trials = (problem.x[-1] - problem.x[0]) * len(WIDTHS_REL) / min(WIDTHS_REL)
-    return 0.5 * float(chdtri(3, MODE_P_VALUE / max(trials, 1.0)))
+    trials = (problem.x[-1] - problem.x[0]) * len(LIMITS.widths_rel) / min(LIMITS.widths_rel)
+    return 0.5 * float(chdtri(3, LIMITS.mode_p_value / max(trials, 1.0)))
 
 
 def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> list[OscillatorFit]:
@@ -293,7 +280,7 @@ def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> lis
     fits = [_fit(problem, theta, parts, value)]
     needed = _needed_nats(problem)
     banned: list[float] = []
-    while len(fits) <= max_modes and len(banned) < MAX_REFUSED:
+    while len(fits) <= max_modes and len(banned) < LIMITS.max_refused:
         start = problem.with_mode(theta, parts, banned)
         new, new_parts, new_value = problem.maximise(start)
         if new_value - value < needed:
@@ -309,15 +296,15 @@ def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> lis
 
 def _is_sound(cells: CellSpectrum, fit: OscillatorFit) -> bool:
     """Whether every mode lies inside the band with its half-power points, is wider than a line, and stands out."""
-    low, high = cells.f_hz[0] * (1.0 + EDGE_REL), cells.f_hz[-1] * (1.0 - EDGE_REL)
+    low, high = cells.f_hz[0] * (1.0 + LIMITS.edge_rel), cells.f_hz[-1] * (1.0 - LIMITS.edge_rel)
     half = fit.damping * fit.f_hz
     width = 2.0 * half
     return bool(
         np.all((fit.f_hz - half > low) & (fit.f_hz + half < high))
-        and np.all(width > MIN_WIDTH_BINS * cells.bin_hz)
-        and np.all(fit.damping < 0.99 * DAMPING_LIMITS[1])
-        and np.all(fit.damping_sd < MAX_DAMPING_SD_REL * fit.damping)
-        and np.all(fit.prominence > MIN_PROMINENCE)
+        and np.all(width > LIMITS.min_width_bins * cells.bin_hz)
+        and np.all(fit.damping < 0.99 * LIMITS.damping_limits[1])
+        and np.all(fit.damping_sd < LIMITS.max_damping_sd_rel * fit.damping)
+        and np.all(fit.prominence > LIMITS.min_prominence)
     )
 
 

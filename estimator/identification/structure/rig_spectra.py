@@ -17,14 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .background_search import (
-    FALL_POWERS,
-    MIN_GAIN_NATS,
-    TRIED_TOLERANCE_NATS,
-    force_dispersion,
-    search_background,
-    without_idle_modes,
-)
+from .background_search import MIN_GAIN_NATS, force_dispersion, search_background, without_idle_modes
 from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
@@ -35,14 +28,11 @@ from .spectral_problem import (
     start_values,
     with_known_background,
 )
+from .thresholds import LIMITS
 
-EXPLAINED_MISFIT = 0.05  # rms of ln(measured / model) of a cap: 0.2 dB
 MAX_WORK_DERIVATIVES = 1e9  # of all rigs on trial together: about 25 s of a core of 2020
 
 SCANNED_FACTORS = np.geomspace(0.125, 8.0, 19)  # of a bearing's stiffness: a wrong rig has moved it
-PLAIN_OCTAVES = 2.0  # between the knots of the spectrum of a force before modes are sought
-MIN_KEPT_STIFFNESS_REL = 0.1  # of a bearing beside a shaft that is thought to be stiffer
-SCANNED_EACH = 4  # cells: one of so many is scanned
 
 Solution = tuple[JointSpectrum, JointPoint]
 
@@ -97,7 +87,7 @@ class RigFit:
     @property
     def explains(self) -> bool:
         """Whether nothing is seen that a further search could explain."""
-        return self.misfit < EXPLAINED_MISFIT
+        return self.misfit < LIMITS.explained_misfit
 
 
 class RigSpectra:
@@ -224,7 +214,7 @@ class RigSpectra:
         moved = replace(point, kL=point.kL[source] * ratio, S=point.S[source] * ratio**2, nu=point.nu[source])
         if self._fall_power:
             return _smooth(problem, moved, self._fall_power)
-        each = [_smooth(problem, moved, power) for power in FALL_POWERS]
+        each = [_smooth(problem, moved, power) for power in LIMITS.fall_powers]
         best = max(each, key=lambda one: one[1].log_likelihood)
         self._fall_power = best[0].fall_power  # one recorder has all channels
         return best
@@ -254,18 +244,18 @@ class RigSpectra:
 
 def _explains(solution: Solution) -> bool:
     """Whether nothing is seen in the spectra of a direction that a further search could explain."""
-    return float(solution[0].misfit(solution[1]).max()) < EXPLAINED_MISFIT
+    return float(solution[0].misfit(solution[1]).max()) < LIMITS.explained_misfit
 
 
 def _smooth(problem: JointSpectrum, point: WorkingPoint, fall_power: int) -> Solution:
     """The problem with smooth spectra of the forces, and its point without modes."""
-    smooth = replace(problem, octaves=PLAIN_OCTAVES, fall_power=fall_power)
+    smooth = replace(problem, octaves=LIMITS.plain_octaves, fall_power=fall_power)
     return smooth, _tried(smooth, _with_scanned_stiffness(smooth, start_values(smooth, point)))
 
 
 def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
     """The point from values of another rig."""
-    return problem.maximised(values, tolerance_nats=TRIED_TOLERANCE_NATS)
+    return problem.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)
 
 
 def _at_same_resonance(
@@ -280,7 +270,7 @@ def _at_same_resonance(
     at = [int(np.argmin(np.abs(one.spectra.f_hz - f0))) for one in (old, problem)]
     shaft, new = float(old.shaft[at[0], cap0, cap0].real), float(problem.shaft[at[1], cap, cap].real)
     ratio = float(np.exp(heavier))
-    return float(np.log(max(ratio * (kL + shaft) - new, MIN_KEPT_STIFFNESS_REL * ratio * kL)))
+    return float(np.log(max(ratio * (kL + shaft) - new, LIMITS.min_kept_stiffness_rel * ratio * kL)))
 
 
 def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> JointValues:
@@ -288,7 +278,7 @@ def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> Join
 
     The spectra of the forces are those that explain the rest.
     """
-    part = _thinned(problem, SCANNED_EACH)
+    part = _thinned(problem, LIMITS.scanned_each)
     caps = np.eye(problem.mass.size)
     for moved in (np.ones(problem.mass.size), *caps, *caps):
         tried = [replace(values, stiffness=values.stiffness + u * moved) for u in (0.0, *np.log(SCANNED_FACTORS))]

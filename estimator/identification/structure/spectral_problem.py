@@ -15,9 +15,7 @@ from estimator.model.rig import Model
 
 from .cross_spectra import CrossSpectra, cross_spectra
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
-
-MIN_STIFFNESS_REL = 1e-3  # of the stiffest bearing, for a start where a fit is far from the rotor
-START_NOISE_REL = 1e-4  # of the least PSD
+from .thresholds import LIMITS
 
 
 def caps_by_direction(places: Sequence[str]) -> list[tuple[int, ...]]:
@@ -108,14 +106,15 @@ def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
 
 def sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
     """(places,) N/m and N s/m, of the fit, but a stiffness above zero, and a damping of 0.1 % of critical at least."""
-    k = np.maximum(point.kL, MIN_STIFFNESS_REL * np.abs(point.kL).max())
+    k = np.maximum(point.kL, LIMITS.min_stiffness_rel * np.abs(point.kL).max())
     return k, np.maximum(point.c, 2e-3 * np.sqrt(k * point.data.mass))
 
 
 def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
     """Values of the fitted model."""
     own = list(problem.spectra.places)
-    least = START_NOISE_REL * np.min(np.einsum("fii->fi", problem.spectra.psd).real / problem.spectra.noise, axis=0)
+    power = np.einsum("fii->fi", problem.spectra.psd).real
+    least = LIMITS.start_noise_rel * np.min(power / problem.spectra.noise, axis=0)
     return JointValues(
         force=np.log(point.S[own])[:, None] * problem.flat,
         noise=np.log(np.maximum((point.nu * point.S)[own], least)),

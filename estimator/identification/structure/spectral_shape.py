@@ -27,20 +27,20 @@ from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
-from .spectral_cells import SpectralCells, cells_of, finite_exp, mean_power
-from .spectral_models import base_model, fit_base_model, fit_shape, pedestal_at_limit, spectral_causes
+from .spectral_models import (
+    SpectralCells,
+    base_model,
+    cells_of,
+    finite_exp,
+    fit_base_model,
+    fit_shape,
+    mean_power,
+    pedestal_at_limit,
+    spectral_causes,
+)
+from .thresholds import LIMITS
 
-MAX_SHAPE_P_VALUE = 1e-3
-BAND_PARTS = 6  # of the band, in which a shared force is tested alone: as many as there are folds in time
-MIN_DEPTH_RMS = 0.015  # of ln(power / model): errors of filters and integrators are smaller
-EXPLAINED_SHARE = 0.95  # of the misfit beyond chance, for a cause that leaves nothing to be explained
-MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance, for a cause
-SHAPE_TOLERANCE_REL = 1e-6  # of a spectral shape of the model from flat
-NEGATIVE_MARGIN_SD = 3.0  # below zero, of a stiffness or damping that no bearing has
-MIN_NOISE_RATIO_TO_OTHERS = 6.0  # power of a faulty sensor's noise over that of its neighbours
-MIN_PEAK_QUALITY = 1.0  # of a sensor resonance above the band: below it a low-pass filter looks alike
 ROLL_OFF_NOTE = "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high"
-MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
 MAX_BACKGROUND_DEPTH_RMS = 0.23  # of what a background leaves, 1 dB: instruments have +-10 % (ISO 2954)
 
 
@@ -52,7 +52,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     noise = np.zeros(len(data.places))
     # shapes taken from the measured spectra, which the model does not have
     seen = data.excitation_shape / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
-    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
+    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > LIMITS.shape_tolerance_rel * seen.mean(axis=1)).tolist())
     for i, place in enumerate(data.places):
         if data.measured_force_psd[i] > 0.0:  # the residual of a measured force is noise
             shaped.add(i)
@@ -65,12 +65,12 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        least = MAX_BACKGROUND_DEPTH_RMS if data.background is not None else MIN_DEPTH_RMS
-        if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < least:
+        least = MAX_BACKGROUND_DEPTH_RMS if data.background is not None else LIMITS.min_depth_rms
+        if chdtrc(df, -2 * level) * len(data.places) > LIMITS.max_shape_p_value or depth < least:
             continue
         shaped.add(i)
         own = _shape_findings(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
-        out += own or ([_unknown_finding(point, i, c, u, level)] if depth > MIN_UNKNOWN_DEPTH_RMS else [])
+        out += own or ([_unknown_finding(point, i, c, u, level)] if depth > LIMITS.min_unknown_depth_rms else [])
     out += find_noisy_sensors(model, point, noise, shaped)
     return out + _find_shared_force(model, point)
 
@@ -86,7 +86,7 @@ def nats_of_one_cause(model: Model, point: WorkingPoint) -> float | None:
         return None
     gains = [0.0]
     for effect in {f.effect for f in found}:
-        own = [f for f in found if f.effect == effect and f.explained_share > EXPLAINED_SHARE]
+        own = [f for f in found if f.effect == effect and f.explained_share > LIMITS.explained_share]
         if {place for f in own for place in f.power_N2} >= shaped:
             gains.append(sum(f.gain_nats for f in own))
     return max(gains)
@@ -109,7 +109,7 @@ def _shape_findings(
             continue
         found, z, sd = fit_shape(c, shape, u, scale)
         gain = found - level
-        if gain < MIN_EXPLAINED_SHARE * (-level - 0.5 * (c.n.size - 4)):
+        if gain < LIMITS.min_explained_share * (-level - 0.5 * (c.n.size - 4)):
             continue
         if shape.effect == PEDESTAL.name and (pedestal_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
             continue
@@ -121,7 +121,8 @@ def _shape_findings(
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
-        no_peak = shape.effect == SENSOR_RESONANCE.name and values[0] > data.band[1] and values[1] < MIN_PEAK_QUALITY
+        falls_only = values[0] > data.band[1] and values[1] < LIMITS.min_peak_quality
+        no_peak = shape.effect == SENSOR_RESONANCE.name and falls_only
         out.append(
             Finding(
                 effect=shape.effect,
@@ -146,7 +147,7 @@ def _bearing_drives_rotor(point: WorkingPoint, i: int, z: Array, sd: Array) -> b
     z, sd : numbers of the base model with the cause, and their standard deviations.
     """
     k, c = point.kL[i] + z[2], point.c[i] + z[3]
-    return bool(k < -NEGATIVE_MARGIN_SD * sd[2] or c < -NEGATIVE_MARGIN_SD * sd[3])
+    return bool(k < -LIMITS.negative_margin_sd * sd[2] or c < -LIMITS.negative_margin_sd * sd[3])
 
 
 def _unknown_finding(point: WorkingPoint, i: int, c: SpectralCells, u: Array, level: float) -> Finding:
@@ -202,7 +203,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
         n = len(a) * square
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
-        if p > MAX_SHAPE_P_VALUE or abs(rho) < 0.02:
+        if p > LIMITS.max_shape_p_value or abs(rho) < 0.02:
             continue
         power = {k: rho**2 * _force_variance(point, k) for k in (i, j)}
         sd = (1 - rho**2) / np.sqrt(2 * n)
@@ -236,8 +237,8 @@ def _gain_by_part(
     a, b : (blocks, bins) spectra of the forces. shape : (bins,) correlation by bin where they are one. own : (bins,)
     that of the noise.
     """
-    seen, weight = np.zeros(BAND_PARTS), np.zeros(BAND_PARTS)
-    for k, part in enumerate(np.array_split(np.arange(shape.size), BAND_PARTS)):
+    seen, weight = np.zeros(LIMITS.band_parts), np.zeros(LIMITS.band_parts)
+    for k, part in enumerate(np.array_split(np.arange(shape.size), LIMITS.band_parts)):
         x, y, s = a[:, part], b[:, part], shape[part]
         both = np.einsum("bk,bk->k", x, y.conj()) / np.sqrt(np.vdot(x, x).real * np.vdot(y, y).real) * part.size
         seen[k], weight[k] = np.vdot(s, both - own[part]).real, np.vdot(s, s).real
@@ -264,7 +265,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
         floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()))
-        if noise[i] < MIN_NOISE_RATIO_TO_OTHERS * floor:
+        if noise[i] < LIMITS.min_noise_ratio_to_others * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
         gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)

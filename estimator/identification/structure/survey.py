@@ -16,13 +16,7 @@ from estimator.parallel import map_threads
 
 from .excitation import CellSpectrum, cell_spectrum
 from .modes import OscillatorFit, fit_oscillators
-
-EXCITATION_POINTS = 48  # of the spectrum of the excitation, log-spaced
-SIMILAR_ENERGY = 0.1  # of the strongest mode's: a mode with less is 10 dB below it
-MIN_ENERGY_SHARE = 0.5  # of the kinetic energy in the band, that the rig's own modes hold
-MAX_MISFIT_DB = 1.0  # rms of the spectrum from that of the oscillators: instruments have +-10 % (ISO 2954)
-SAME_MODE_RATIO = 2.0**0.5  # of frequencies: the two directions of a cap differ by less, so do parts of a nonlinear one
-STABLE_FREQUENCY_REL, STABLE_DAMPING_REL = 0.01, 0.2  # from one number of modes to the next
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +131,7 @@ class PlaceStructure:
     def similar(self) -> tuple[Mode, ...]:
         """Modes with at least a tenth of the energy of the strongest."""
         top = max((m.energy_share for m in self.modes), default=0.0)
-        return tuple(m for m in self.modes if m.energy_share >= SIMILAR_ENERGY * top)
+        return tuple(m for m in self.modes if m.energy_share >= LIMITS.similar_energy * top)
 
     @property
     def resonances(self) -> int:
@@ -274,7 +268,7 @@ def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -
         count = len(own.similar)
         return f"{band} holds {count} modes of similar strength; none can be attributed to the bearing: {advice}"
     share = sum(m.energy_share for m in own.similar)
-    if share < MIN_ENERGY_SHARE:
+    if share < LIMITS.min_energy_share:
         return f"the resonance in {band} holds only {100 * share:.0f} % of its energy: {advice}"
     return (
         f"{band} is not explained by an oscillator under a smooth force, it departs by {own.misfit_db:.1f} dB; "
@@ -299,7 +293,7 @@ def _place(place: str, channel: str, cells: CellSpectrum, expected: int, driven:
         )
         for m in range(last.f_hz.size)
     )
-    f = np.geomspace(cells.f_hz[0], cells.f_hz[-1], EXCITATION_POINTS)
+    f = np.geomspace(cells.f_hz[0], cells.f_hz[-1], LIMITS.excitation_points)
     psd = np.exp(np.interp(np.log(f), np.log(cells.f_hz), np.log(np.maximum(last.force, 1e-300))))
     return PlaceStructure(
         channel=channel,
@@ -322,15 +316,15 @@ def _bearing_index(fit: OscillatorFit, expected: int, driven: bool) -> int | Non
     if not fit.f_hz.size:
         return None
     top = int(np.argmax(fit.energy))
-    near = fit.energy >= SIMILAR_ENERGY * fit.energy[top]
-    clear = count_apart(fit.f_hz[near]) <= expected and fit.misfit_db <= MAX_MISFIT_DB
-    return top if driven or (clear and np.sum(fit.energy[near]) >= MIN_ENERGY_SHARE) else None
+    near = fit.energy >= LIMITS.similar_energy * fit.energy[top]
+    clear = count_apart(fit.f_hz[near]) <= expected and fit.misfit_db <= LIMITS.max_misfit_db
+    return top if driven or (clear and np.sum(fit.energy[near]) >= LIMITS.min_energy_share) else None
 
 
 def count_apart(f_hz: Sequence[float] | Array) -> int:
     """Number of frequencies, those nearer than half an octave to the next one counted once."""
     ratios = np.diff(np.log(np.sort(f_hz)))
-    return int(np.count_nonzero(ratios > np.log(SAME_MODE_RATIO))) + (len(f_hz) > 0)
+    return int(np.count_nonzero(ratios > np.log(LIMITS.same_mode_ratio))) + (len(f_hz) > 0)
 
 
 def _poles(fits: Sequence[OscillatorFit]) -> tuple[PolePoint, ...]:
@@ -338,7 +332,7 @@ def _poles(fits: Sequence[OscillatorFit]) -> tuple[PolePoint, ...]:
     out = []
     for before, fit in zip(fits, fits[1:], strict=False):
         for f, zeta in zip(fit.f_hz, fit.damping, strict=True):
-            near = np.abs(before.f_hz / f - 1.0) < STABLE_FREQUENCY_REL
-            stable = bool(np.any(near & (np.abs(before.damping / zeta - 1.0) < STABLE_DAMPING_REL)))
+            near = np.abs(before.f_hz / f - 1.0) < LIMITS.stable_frequency_rel
+            stable = bool(np.any(near & (np.abs(before.damping / zeta - 1.0) < LIMITS.stable_damping_rel)))
             out.append(PolePoint(order=fit.f_hz.size, frequency_hz=float(f), damping=float(zeta), stable=stable))
     return tuple(out)

@@ -17,7 +17,7 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.residual.missing_force import survey
-from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
+from estimator.identification.structure import spectral_models, spectral_shape
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -120,9 +120,9 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     true = thought.copy()
     true[:, i, i] += delta
     inferred = thought @ np.linalg.inv(true)
-    A, others = spectral_cells.with_others_answering(thought, S, i)
+    A, others = spectral_models.with_others_answering(thought, S, i)
     one = np.ones(f)
-    c = spectral_cells.SpectralCells(
+    c = spectral_models.SpectralCells(
         power=one,
         n=one,
         w=one,
@@ -141,7 +141,7 @@ def test_noise_of_the_sensors_comes_through_a_stiff_shaft_too() -> None:
     rig = replace(coupled_on_a_stiff_shaft(), effects=())
     point = fit_record(rig, prepare(rig, simulate(rig, RATE, 6.0, seed=4, noise=0.3), RATE))
     for i in range(4):
-        c = spectral_cells.cells_of(point, i)
+        c = spectral_models.cells_of(point, i)
         df = c.n.size - 4
         assert abs(-2 * spectral_models.fit_base_model(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
 

@@ -12,7 +12,7 @@ from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
+from estimator.identification.structure import spectral_models, spectral_shape
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -58,7 +58,7 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     y = simulate(rig, RATE, 20.0, seed=3)
     y[:, 0] += 2.0 * np.random.default_rng(1).standard_normal(len(y))
     point = fit_all_effects(rig, y, RATE).point
-    cells = spectral_cells.cells_of(point, 0)
+    cells = spectral_models.cells_of(point, 0)
     level, u, _ = spectral_models.fit_base_model(point, 0, cells)
     df = cells.n.size - 4
     assert abs(-2 * level - df) < 4 * np.sqrt(2 * df)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.identification.structure.spectral_cells import mean_power
+from estimator.identification.structure.spectral_models import mean_power
 
 
 def test_a_bin_that_a_line_takes_has_the_power_of_its_neighbours() -> None:
