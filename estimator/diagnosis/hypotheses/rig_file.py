@@ -291,8 +291,12 @@ def _contenders(trials: _Trials, given: RigFit) -> tuple[RigFit, list[_Trial]]:
 def _with_rivals(trials: _Trials, found: list[_Trial]) -> list[_Trial]:
     """Hypotheses with those that come near the likeliest one with its modes, the likeliest first."""
     best, names = found[0].fit, {t.hypothesis.name for t in found}
+    trials.spectra.begin_again()
+    unsettled = [*trials.pending, found[0].hypothesis.name]
+    trials.pending = unsettled
     near = trials.screened(best, best.nats - RIVAL_COSTS * trials.spectra.cost_nats)
     rivals = trials.searched_in_turn([t for t in near if t.hypothesis.name not in names])
+    trials.pending += unsettled[:-1]
     return sorted([*found, *rivals], key=lambda t: -t.fit.nats)
 
 
