@@ -72,6 +72,7 @@ def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -
     assert found.gain_nats > 100.0
 
 
+@pytest.mark.slow
 def test_an_inverted_channel_is_told_beside_structural_modes() -> None:
     true = replace(coupled(), band=(600.0, 2400.0))
     y = simulate(with_support_modes(true), RATE_HZ, 3.0, seed=3, noise=0.02)
