@@ -35,10 +35,6 @@ from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.model.effect import Effect
 from estimator.parallel import map_processes
 
-UPPER_SHARE = 0.2  # of the samples: the upper windows
-WINDOW_SAMPLES = 1024  # blocks are a multiple of it
-JUDGED_SECONDS = 24.0  # of the record
-
 
 @dataclass(frozen=True, slots=True)
 class Extrapolation:
@@ -59,8 +55,10 @@ class Extrapolation:
 def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
     """(n,) samples of place i in the windows of largest rms displacement."""
     data = point.data
-    level = np.mean(data.x[i].reshape(-1, WINDOW_SAMPLES) ** 2, axis=1)
-    return np.asarray(np.repeat(level > np.quantile(level, 1.0 - UPPER_SHARE), WINDOW_SAMPLES), dtype=np.bool_)
+    level = np.mean(data.x[i].reshape(-1, THRESHOLDS.window_samples) ** 2, axis=1)
+    return np.asarray(
+        np.repeat(level > np.quantile(level, 1.0 - THRESHOLDS.upper_share), THRESHOLDS.window_samples), dtype=np.bool_
+    )
 
 
 def is_displacement_law(effect: Effect | None) -> bool:
@@ -70,7 +68,7 @@ def is_displacement_law(effect: Effect | None) -> bool:
 
 def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
-    point = point_on_part(point, JUDGED_SECONDS)
+    point = point_on_part(point, THRESHOLDS.judged_seconds)
     total, allowed = 0.0, THRESHOLDS.amplitude_margin_nats
     for found in map_processes([partial(_one, point, one) for one in placed]):
         if found is None:

@@ -11,15 +11,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Protocol
 
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
 from estimator.identification.batch.unknown_mass import places_without_mass
 from estimator.identification.structure.rig_spectra import Arrangement
 from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import Parameter
-
-TRIAL_FACTORS = (0.1, 0.5, 2.0, 10.0)  # of a mass or a spring: slips of a unit, a factor of two, of a half
-MAX_FACTOR_SD_LOG = 0.2  # beyond which a factor is said to be rough
-INVERTED_ERROR = -2.0  # relative error of the gain of an inverted channel
 
 Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
 
@@ -64,7 +61,7 @@ class ScaledMass(Hypothesis):
         return f"rig.mass.{self.key}"
 
     def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in TRIAL_FACTORS] if self.key in model.mass else []
+        return [(factor, 1.0) for factor in THRESHOLDS.trial_factors] if self.key in model.mass else []
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
@@ -84,7 +81,7 @@ class ScaledSpring(Hypothesis):
     name: str = "rig.shaft_spring.stiffness"
 
     def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in TRIAL_FACTORS]
+        return [(factor, 1.0) for factor in THRESHOLDS.trial_factors]
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
@@ -149,7 +146,7 @@ class InvertedChannel:
     def apply(self, model: Model, values: Values) -> Model:
         place = model.channels[self.number].place
         turned = EffectUse(
-            SENSOR_GAIN.name, {place: {SENSOR_GAIN.parameters[0].name: Setting(INVERTED_ERROR, fixed=True)}}
+            SENSOR_GAIN.name, {place: {SENSOR_GAIN.parameters[0].name: Setting(THRESHOLDS.inverted_error, fixed=True)}}
         )
         return replace(model, effects=(*(u for u in model.effects if u.name != turned.name), turned))
 
@@ -168,7 +165,7 @@ class InvertedChannel:
 
 def _factor_text(name: str, values: Values) -> str:
     """What to check of a number that a factor changes."""
-    rough = " or so" if values[1] > MAX_FACTOR_SD_LOG else ""
+    rough = " or so" if values[1] > THRESHOLDS.max_factor_sd_log else ""
     return f"check {name}: with {values[0]:.2g} times its value{rough} the model explains the spectra of the caps"
 
 

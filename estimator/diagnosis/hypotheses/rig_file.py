@@ -23,20 +23,7 @@ from estimator.identification.structure.rig_spectra import MAX_WORK_DERIVATIVES,
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import Model
 
-from .rig_changes import TRIAL_FACTORS, Hypothesis, SwappedChannels, Values, coupling_hypotheses
-
-TRIAL_ROWS = 2**19  # of the record, for the spectra: 20 s at 25.6 kHz
-REFINING_STEPS = 8  # of the factor that explains most
-FACTOR_STEP_LOG = 0.1  # to either side of a factor, for its standard deviation
-MIN_FACTOR_LOG = 0.1  # of a factor from one: instruments have +-10 % (ISO 2954)
-MIN_FALL_NATS = 1e-4  # of a likelihood that does not depend on the factor
-MIN_FACTOR_SD = 3.0  # of its logarithm, of a factor from one
-FOLLOWED_STEP_LOG = 0.35  # of a factor, a half: the modes of one fit are near those of the next
-MAX_LOG_FACTOR = 2.6  # that is followed: a slip of a digit with its standard deviation
-MIN_SCREENED_NATS = 5.0  # gained before the modes of a hypothesis are sought: half of what it has to gain
-RIVAL_COSTS = 10.0  # costs of a mode behind one that explains the spectra, before its own modes are sought
-MAX_SEARCHED = 3  # hypotheses, the likeliest with the modes of the given rig, whose own modes are sought
-UNSOUND_NATS = -1e12  # in place of the likelihood of a rig that explains nothing
+from .rig_changes import Hypothesis, SwappedChannels, Values, coupling_hypotheses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +88,7 @@ class _Trials:
         by_name: dict[str, _Trial] = {}
         for trial in sorted(tried, key=lambda t: -t.fit.nats):
             by_name.setdefault(trial.hypothesis.name, trial)
-        best = [*by_name.values()][:MAX_SEARCHED]
+        best = [*by_name.values()][: THRESHOLDS.max_searched]
         if start is not None:
             best = [replace(t, fit=self.spectra.without_idle_modes(t.fit)) for t in best]
         return [t for t in best if t.fit.nats > least_nats]
@@ -110,7 +97,7 @@ class _Trials:
         """The hypothesis at its values; along its factor as well from the fit of the rig as given."""
         values, followed = hypothesis.propose(self.model), []
         if start is not None and any(values):
-            for step in (FOLLOWED_STEP_LOG, -FOLLOWED_STEP_LOG):
+            for step in (THRESHOLDS.followed_step_log, -THRESHOLDS.followed_step_log):
                 followed += self._followed(hypothesis, start, 0.0, step)
             reached = [t.values[0] for t in followed] or [1.0]
             values = [own for own in values if not min(reached) < own[0] < max(reached)]
@@ -123,7 +110,7 @@ class _Trials:
         """
         out: list[_Trial] = []
         best, falls = fit.nats, 0
-        while falls < 2 and abs(ln_factor + step) < MAX_LOG_FACTOR:
+        while falls < 2 and abs(ln_factor + step) < THRESHOLDS.max_log_factor:
             ln_factor += step
             trial = self.tried(hypothesis, (float(np.exp(ln_factor)), 1.0), fit)
             if trial is None:
@@ -147,7 +134,7 @@ class _Trials:
         Those that are reached with the work that the trial may take: the others stay pending.
         """
         found: list[_Trial] = []
-        reach = RIVAL_COSTS * self.spectra.cost_nats
+        reach = THRESHOLDS.rival_costs * self.spectra.cost_nats
         self.pending = [t.hypothesis.name for t in trials]
         with suppress(SearchTooLongError):
             for trial in trials:
@@ -185,19 +172,22 @@ class _Trials:
 
         def at(ln_factor: float) -> float:
             found = self.tried(trial.hypothesis, (float(np.exp(ln_factor)), 0.0), trial.fit)
-            return UNSOUND_NATS if found is None else found.fit.nats
+            return THRESHOLDS.unsound_nats if found is None else found.fit.nats
 
         begin = float(np.log(trial.values[0]))
-        for step in (FOLLOWED_STEP_LOG, -FOLLOWED_STEP_LOG):
+        for step in (THRESHOLDS.followed_step_log, -THRESHOLDS.followed_step_log):
             trial = max([trial, *self._followed(trial.hypothesis, trial.fit, begin, step)], key=lambda t: t.fit.nats)
         middle = float(np.log(trial.values[0]))
+        reach = THRESHOLDS.followed_step_log
         best = minimize_scalar(
-            lambda u: -at(u), bounds=(middle - FOLLOWED_STEP_LOG, middle + FOLLOWED_STEP_LOG), method="bounded",
-            options={"maxiter": REFINING_STEPS},
+            lambda u: -at(u), bounds=(middle - reach, middle + reach), method="bounded",
+            options={"maxiter": THRESHOLDS.refining_steps},
         )  # fmt: skip
         ln_factor = float(best.x) if -best.fun > trial.fit.nats else middle
-        fall = at(ln_factor) - 0.5 * (at(ln_factor - FACTOR_STEP_LOG) + at(ln_factor + FACTOR_STEP_LOG))
-        sd = FACTOR_STEP_LOG / np.sqrt(2.0 * max(fall, MIN_FALL_NATS))
+        fall = at(ln_factor) - 0.5 * (
+            at(ln_factor - THRESHOLDS.factor_step_log) + at(ln_factor + THRESHOLDS.factor_step_log)
+        )
+        sd = THRESHOLDS.factor_step_log / np.sqrt(2.0 * max(fall, THRESHOLDS.min_fall_nats))
         values = float(np.exp(ln_factor)), float(sd)
         found = self.tried(trial.hypothesis, values, trial.fit)
         if found is not None and found.fit.nats > trial.fit.nats:
@@ -232,7 +222,7 @@ def likeliest_mistake(
     laws = [use for use in model.effects if effect_of(use).kind == "force"]  # a wrong rig makes nonsense of them
     effects = tuple(use for use in model.effects if use not in laws)
     model, background = replace(model, background=None, effects=effects), model.background
-    point = fit_record(model, prepare(model, y[:TRIAL_ROWS], rate_hz))
+    point = fit_record(model, prepare(model, y[: THRESHOLDS.trial_rows], rate_hz))
     trials = _Trials(model, RigSpectra(model, point, max_work), asked)
     mistake = None
     with suppress(np.linalg.LinAlgError, SearchTooLongError):
@@ -273,18 +263,18 @@ def _contenders(trials: _Trials, given: RigFit) -> tuple[RigFit, list[_Trial]]:
     """
     model, spectra = trials.model, trials.spectra
     if given.explains:
-        return given, trials.screened(given, given.nats + MIN_SCREENED_NATS)
+        return given, trials.screened(given, given.nats + THRESHOLDS.min_screened_nats)
     plain = spectra.tried(model, spectra.as_given, None)
-    contenders = trials.screened(None, plain.nats + MIN_SCREENED_NATS)
+    contenders = trials.screened(None, plain.nats + THRESHOLDS.min_screened_nats)
     ahead = max((t.fit.nats for t in contenders), default=plain.nats) - plain.nats
-    if ahead < RIVAL_COSTS * spectra.cost_nats:
+    if ahead < THRESHOLDS.rival_costs * spectra.cost_nats:
         own = spectra.without_idle_modes(spectra.searched(model, spectra.as_given))
         given = max(given, own, key=lambda fit: fit.nats)
     spectra.begin_again()
     if given.explains:
-        return given, trials.screened(given, given.nats + MIN_SCREENED_NATS)
+        return given, trials.screened(given, given.nats + THRESHOLDS.min_screened_nats)
     if all(t.fit.nats < given.nats for t in contenders):
-        contenders += trials.screened(given, given.nats + MIN_SCREENED_NATS)
+        contenders += trials.screened(given, given.nats + THRESHOLDS.min_screened_nats)
     return given, contenders
 
 
@@ -294,7 +284,7 @@ def _with_rivals(trials: _Trials, found: list[_Trial]) -> list[_Trial]:
     trials.spectra.begin_again()
     unsettled = [*trials.pending, found[0].hypothesis.name]
     trials.pending = unsettled
-    near = trials.screened(best, best.nats - RIVAL_COSTS * trials.spectra.cost_nats)
+    near = trials.screened(best, best.nats - THRESHOLDS.rival_costs * trials.spectra.cost_nats)
     rivals = trials.searched_in_turn([t for t in near if t.hypothesis.name not in names])
     trials.pending += unsettled[:-1]
     return sorted([*found, *rivals], key=lambda t: -t.fit.nats)
@@ -319,4 +309,8 @@ def _is_slip(values: Values) -> bool:
     if not values:
         return True
     size = abs(float(np.log(values[0])))
-    return max(MIN_FACTOR_LOG, MIN_FACTOR_SD * values[1]) < size < float(np.log(max(TRIAL_FACTORS))) + MIN_FACTOR_LOG
+    return (
+        max(THRESHOLDS.min_factor_log, THRESHOLDS.min_factor_sd * values[1])
+        < size
+        < float(np.log(max(THRESHOLDS.trial_factors))) + THRESHOLDS.min_factor_log
+    )

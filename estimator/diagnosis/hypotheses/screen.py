@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from estimator.diagnosis.comparison.survey import BearingSurvey
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.likelihood.motion.law_smoothing import compile_law
 from estimator.likelihood.motion.located_law import searched_parameters, trial_effects
 from estimator.likelihood.path.working_point import WorkingPoint, search_point
@@ -28,10 +29,6 @@ from .trial import (
 )
 
 Progress = Callable[[float, str], None]
-SEARCH_SECONDS = 6.0  # of the record, for searched parameters
-MAX_REFINED_TRIALS = 12
-REFINED_MIN_GAIN_REL = 0.3  # of the best gain at a bearing: an effect that reaches it is refined everywhere
-BORROWED_MIN_GAIN_REL = 0.2  # of the best effect's gain: below it no searched parameters are borrowed
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[Trial]:
 
     Searched parameters of promising trials are refined.
     """
-    small = search_point(part, SEARCH_SECONDS)
+    small = search_point(part, THRESHOLDS.search_seconds)
     pairs = [(e, s) for e in trial_effects(model) for s in open_locations(e, model, part)]
     for effect, _ in pairs:
         if effect.force is not None:
@@ -93,7 +90,7 @@ def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[Trial]:
     gains = {name: sum(max(t.gain, 0.0) for t in own) for name, own in by_effect.items()}
 
     def lent(name: str) -> list[Trial]:
-        if gains[name] < BORROWED_MIN_GAIN_REL * max(gains.values()):
+        if gains[name] < THRESHOLDS.borrowed_min_gain_rel * max(gains.values()):
             return by_effect[name]
         return with_borrowed_parameters(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
@@ -108,7 +105,9 @@ def _judged(point: WorkingPoint, model: Model, trial: Trial, promising: bool) ->
 
 def _with_promise(model: Model, trials: list[Trial]) -> list[tuple[Trial, bool]]:
     """Every trial, and whether its searched parameters are worth to be refined."""
-    promising = [t for t in promising_trials(trials) if searched_parameters(t.effect, model)][:MAX_REFINED_TRIALS]
+    promising = [t for t in promising_trials(trials) if searched_parameters(t.effect, model)][
+        : THRESHOLDS.max_refined_trials
+    ]
     return [(trial, any(trial is t for t in promising)) for trial in trials]
 
 
@@ -119,5 +118,5 @@ def promising_trials(trials: list[Trial]) -> list[Trial]:
         key = t.location.split(".")[0], t.effect.name
         sums[key] = sums.get(key, 0.0) + max(t.gain, 0.0)
     best = {node: max(g for (n, _), g in sums.items() if n == node) for node, _ in sums}
-    near = {effect for (node, effect), g in sums.items() if g > max(4.0, REFINED_MIN_GAIN_REL * best[node])}
+    near = {effect for (node, effect), g in sums.items() if g > max(4.0, THRESHOLDS.refined_min_gain_rel * best[node])}
     return [t for t in trials if t.gain > 2.0 and t.effect.name in near]

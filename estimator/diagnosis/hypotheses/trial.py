@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects.engine.strength import search_range
 from estimator.effects.places import kinematic
 from estimator.effects.places import places as canonical_places
@@ -35,13 +36,6 @@ from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
 GRID_POINTS = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by the number of searched parameters
-MAX_STEPS = 3  # of Gauss-Newton in searched parameters
-MAX_STEP_REL = 0.4  # of the value of a searched parameter
-STEP_MIN_GAIN_NATS = 0.5
-BORROWED_MAX_P_VALUE = 1e-3  # of the trial whose searched parameters are tried at the other locations
-CONTENDER_MIN_GAIN_REL = 0.5  # of the best effect's gain: below it the rest of the record is not used
-CONTENDER_MAX_BEHIND_NATS = 25.0  # behind the best effect: beyond it the rest of the record is not used
-CONTENDER_MAX_P_VALUE = 0.45  # on two fifths of a record; above it the rest makes 0.6 % significant
 SHAFT_ANGLE_SUFFIXES = ("_cos", "_sin")  # of amplitudes that vary with the shaft angle
 
 
@@ -172,15 +166,15 @@ def are_contenders(trials: Sequence[Trial]) -> list[bool]:
     for t in trials:
         total[t.effect.name] = total.get(t.effect.name, 0.0) + max(t.gain, 0.0)
     best, second = sorted([0.0, 0.0, *total.values()])[:-3:-1]
-    least = min(CONTENDER_MIN_GAIN_REL * best, best - CONTENDER_MAX_BEHIND_NATS, second)
-    return [t.p_value < CONTENDER_MAX_P_VALUE and total[t.effect.name] >= least for t in trials]
+    least = min(THRESHOLDS.contender_min_gain_rel * best, best - THRESHOLDS.contender_max_behind_nats, second)
+    return [t.p_value < THRESHOLDS.contender_max_p_value and total[t.effect.name] >= least for t in trials]
 
 
 def refined_trial(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
     """The trial after Gauss-Newton steps in its searched parameters, as long as they gain."""
-    for _ in range(MAX_STEPS):
+    for _ in range(THRESHOLDS.max_steps):
         further = _stepped(point, model, trial)
-        if further is None or further.gain < trial.gain + STEP_MIN_GAIN_NATS:
+        if further is None or further.gain < trial.gain + THRESHOLDS.step_min_gain_nats:
             break
         trial = further
     return trial
@@ -201,12 +195,16 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     if not loose:
         return None
     fit = subproblem(point, placed.at, point.whitening.whiten(kept)).fit(steps=3)
-    if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * STEP_MIN_GAIN_NATS:
+    if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * THRESHOLDS.step_min_gain_nats:
         return None  # there already, as far as the nats go
     p = placed.p.copy()
     natural = natural_sizes(point.data, placed.at[0], point.kL[placed.at[0]])
     for k in loose:
-        step = float(np.clip(fit.value(placed.name(k))[0], -MAX_STEP_REL * abs(p[k]), MAX_STEP_REL * abs(p[k])))
+        step = float(
+            np.clip(
+                fit.value(placed.name(k))[0], -THRESHOLDS.max_step_rel * abs(p[k]), THRESHOLDS.max_step_rel * abs(p[k])
+            )
+        )
         p[k] = np.clip(p[k] + step, *search_range(trial.effect.parameters[k], natural))
     return repeated_trial(point, model, replace(trial, placed=placed.with_values(p)))
 
@@ -236,7 +234,7 @@ def with_borrowed_parameters(
     out = {t.location: t for t in trials}
     best = max(trials, key=lambda t: t.gain, default=None)
     loose = [] if best is None else searched_parameters(best.effect, model)
-    if best is None or best.p_value > BORROWED_MAX_P_VALUE or not loose:
+    if best is None or best.p_value > THRESHOLDS.borrowed_max_p_value or not loose:
         return list(trials)
 
     def moved(trial: Trial, location: str) -> Trial | None:

@@ -46,8 +46,6 @@ SHAFT_HARMONICS = frozenset(PERIODIC_EFFECTS).difference(LINE_NAMES, {LOCAL_DEFE
 TWO_LAWS = "two_laws_fit"  # code: two laws of one state leave little together
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
 NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code})
-MAX_FITTED = 5  # candidates that are fitted together with the model
-MAX_PAIRED = 3  # candidates of which two are tried together
 LEAVES_LITTLE = "leaves little"  # name of the gate
 
 
@@ -200,12 +198,12 @@ def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) 
 def _judged_entries(entries: list[Entry], context: Context) -> list[Entry]:
     """The ranking, each candidate with what the gates say until one is named and no other is within the resolution.
 
-    A fit together with the model is costly: at most `MAX_FITTED` candidates come so far.
+    A fit together with the model is costly: at most `max_fitted` candidates come so far.
     """
     out = list(entries)
     best: Entry | None = None
     for k, entry in enumerate(entries):
-        if len(context.fits) >= MAX_FITTED or entry.p_value > THRESHOLDS.max_p_value:
+        if len(context.fits) >= THRESHOLDS.max_fitted or entry.p_value > THRESHOLDS.max_p_value:
             continue
         if best is not None and entry.score < best.score - THRESHOLDS.rival_nats:
             break
@@ -343,7 +341,7 @@ def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] 
     those has the likeliest significant one is tried beside the first of them.
     """
     part, before = context.survey.part, context.survey.missing
-    laws = [e for e in tried if e.law is not None][:MAX_PAIRED]
+    laws = [e for e in tried if e.law is not None][: THRESHOLDS.max_paired]
     states = {e.law.state for e in laws if e.law is not None}
     others: dict[str, Entry] = {}
     for e in entries:

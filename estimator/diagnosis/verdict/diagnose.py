@@ -10,6 +10,7 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.shape import Shape
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
@@ -38,7 +39,6 @@ ROTOR_UNTRIED = Message(
     "the matrices of the rotor and its nodes are not on trial, and a mistake there looks like a law: hold the modes "
     "that rotorscope check prints against a tap test before you believe one",
 )
-MAX_MESSAGES = 10  # more are not read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,4 +230,4 @@ def _messages(
         said.append(Message(code, f"the bearings cannot be judged here: {bearing.reason}"))
     said += [*record_messages(record), *whole_order_messages(machine), *machine.messages, *bearing.messages]
     each = tuple({message.text: message for message in said}.values())
-    return each[:MAX_MESSAGES]
+    return each[: THRESHOLDS.max_messages]

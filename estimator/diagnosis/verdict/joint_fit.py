@@ -28,9 +28,6 @@ from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message
 
-LAW_FIT_ROUNDS = 6
-NORMAL_95 = 1.645  # standard deviations, one side
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointFit:
@@ -85,7 +82,7 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     """A force law and the model, fitted to the part of the record that was surveyed."""
     part = survey.part
     try:
-        after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=LAW_FIT_ROUNDS)
+        after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=THRESHOLDS.law_fit_rounds)
     except NotFiniteError:  # far from the rotor
         return JointFit(entry=entry, left_rel=1.0, gain_nats=-np.inf)
     entry, after = at_identifiable_bearings(part, entry, after)
@@ -115,7 +112,7 @@ def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -
         return 1.0, 1.0
     state = max(was, key=lambda group: was[group] - rest.get(group, 0.0))
     sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in after.residuals if r.place in entry.places)))
-    powers = np.array([rest.get(state, 0.0), rest.get(state, 0.0) - NORMAL_95 * sd])
+    powers = np.array([rest.get(state, 0.0), rest.get(state, 0.0) - THRESHOLDS.normal_95 * sd])
     left, least = np.sqrt(np.clip(powers / was[state], 0.0, 1.0)) if was[state] > 0 else (0.0, 0.0)
     return float(left), float(least)
 
@@ -142,7 +139,7 @@ def at_identifiable_bearings(
     if not idle or len(idle) == len(entry.at):
         return entry, after
     fewer = ranking.without_nodes(entry, idle)
-    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=LAW_FIT_ROUNDS)
+    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=THRESHOLDS.law_fit_rounds)
     samples = point.data.blocks * point.data.block
     if heldout_nll(less) > heldout_nll(after) + THRESHOLDS.min_gain_nats / samples:
         return entry, after

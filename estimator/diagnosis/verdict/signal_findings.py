@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
 from estimator.effects.places import places
@@ -32,7 +33,6 @@ from .mistake import mistake_entry
 
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
-MIN_P_VALUE = 1e-300  # below it the logarithm has no meaning
 INTEGRATIONS_TO_VELOCITY = {  # by unit
     MOTION_UNITS[kind]: count for kind, count in (("acceleration", 1), ("velocity", 0), ("displacement", -1))
 }
@@ -234,7 +234,7 @@ def _place(model: Model, channel: str) -> str:
 
 def _entry(effect: str, place: str, p_value: float, parameters: dict[str, Parameter]) -> Entry:
     """An entry of the ranking. Its force is unknown without a model of the bearing: no share of it is given."""
-    nats = -float(np.log(max(p_value, MIN_P_VALUE)))
+    nats = -float(np.log(max(p_value, THRESHOLDS.min_p_value)))
     return Entry(
         effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value, before_percent=0.0,
         after_percent=0.0, parameters=parameters, score=nats,

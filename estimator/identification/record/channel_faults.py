@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.constants import g
 from scipy.special import ndtri
 
 from estimator.arrays import Array
@@ -17,9 +18,6 @@ from .clipping import clipping_level
 from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding
 from .spikes import robust_scale, spike_rows
 from .thresholds import RECORD_THRESHOLDS, Thresholds
-
-STANDARD_GRAVITY = 9.80665  # m/s^2
-LEVELS_SAMPLES = 1 << 17  # samples that the levels of a converter are counted in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +157,7 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
 
 def _few_levels(record: ChannelRecord) -> RecordFinding | None:
     """A quantisation step that is coarse against the signal."""
-    part = next(z for z in finite_pieces(record.y) if z.size)[:LEVELS_SAMPLES]
+    part = next(z for z in finite_pieces(record.y) if z.size)[: RECORD_THRESHOLDS.levels_samples]
     levels = np.unique(part)
     if levels.size > 64:
         return None
@@ -221,7 +219,7 @@ def _offset(record: ChannelRecord) -> Iterator[RecordFinding]:
     """A mean that no sensor at rest has."""
     mean, sd, limits = record.moments.mean, record.moments.sd, record.limits
     if record.channel.kind == "acceleration":
-        if abs(mean) > limits.max_offset_m_s2 and abs(abs(mean) / STANDARD_GRAVITY**2 - 1.0) < limits.gravity_error_rel:
+        if abs(mean) > limits.max_offset_m_s2 and abs(abs(mean) / g**2 - 1.0) < limits.gravity_error_rel:
             yield record.finding(
                 "wrong_unit",
                 f"has a mean of {mean:.4g} m/s^2, gravity times 9.81: its samples are m/s^2 and the rig file says g",
@@ -249,7 +247,7 @@ def _wrong_unit(record: ChannelRecord) -> Iterator[RecordFinding]:
     what = ""
     if kind == "acceleration":
         if not limits.min_acceleration_rms <= size <= limits.max_acceleration_rms:
-            what = f"an rms of {size:.3g} m/s^2 ({size / STANDARD_GRAVITY:.2g} g)"
+            what = f"an rms of {size:.3g} m/s^2 ({size / g:.2g} g)"
         elif (v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)) > limits.max_velocity_rms and size > 0.5 * sd:
             what = f"a velocity of {1e3 * v:.3g} mm/s rms from 10 to 1000 Hz"
     elif kind == "velocity":

@@ -24,10 +24,6 @@ UNIT_FACTORS = {  # between two units that are mixed up
     25.4: "inches taken for millimetres",
     1e6: "a factor of 1e6, such as um for m",
 }
-SEGMENT_SAMPLES = 1024  # of the spectra of two channels
-MAX_SEGMENTS = 4096  # spread over the record
-MIN_SEGMENTS = 16  # a coherence of 0.8 from noise has p = 0.2^15
-LEVEL_PIECES = 40  # of the record, for the level against time
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,18 +48,18 @@ def pair_spectra(
     """Spectra over the stretches that both channels (n,) have; None with too few segments. scales : they are over."""
     both = np.isfinite(a) & np.isfinite(b)
     longest = max((stop - first for first, stop in stretches(both)), default=0)
-    size = min(SEGMENT_SAMPLES, 1 << max(longest, 1).bit_length() - 1)
+    size = min(RECORD_THRESHOLDS.segment_samples, 1 << max(longest, 1).bit_length() - 1)
     if size < 64:
         return None
     window = np.hanning(size + 1)[:-1]
     sums, count = np.zeros((3, size // 2 + 1), np.complex128), 0
-    for starts in segment_starts(both, size, MAX_SEGMENTS):
+    for starts in segment_starts(both, size, RECORD_THRESHOLDS.max_pair_segments):
         p, q = (
             rfft(segments(z, starts, size) * (window / scale), axis=1) for z, scale in zip((a, b), scales, strict=True)
         )
         sums += np.stack([np.sum(p * p.conj(), 0), np.sum(q * q.conj(), 0), np.sum(p.conj() * q, 0)])
         count += starts.size
-    if count < MIN_SEGMENTS:
+    if count < RECORD_THRESHOLDS.min_segments:
         return None
     sums /= count
     f = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz))
@@ -222,9 +218,9 @@ def _gain(values: Complexes) -> tuple[complex, float]:
 
 def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[RecordFinding]:
     """Channels whose level drops or jumps while the others keep theirs."""
-    if len(records) < 2 or len(records[0].y) < 16 * LEVEL_PIECES:
+    if len(records) < 2 or len(records[0].y) < 16 * RECORD_THRESHOLDS.level_pieces:
         return []
-    size = len(records[0].y) // LEVEL_PIECES
+    size = len(records[0].y) // RECORD_THRESHOLDS.level_pieces
     levels = np.array([_levels_db(r.y, size, _scale(r)) for r in records])
     out = []
     for i, record in enumerate(records):
@@ -252,9 +248,9 @@ def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[R
 
 
 def _levels_db(y: Array, size: int, largest: float) -> Array:
-    """(LEVEL_PIECES,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
-    out = np.full(LEVEL_PIECES, np.nan)
-    for k in range(LEVEL_PIECES):
+    """(level_pieces,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
+    out = np.full(RECORD_THRESHOLDS.level_pieces, np.nan)
+    for k in range(RECORD_THRESHOLDS.level_pieces):
         piece = y[k * size : (k + 1) * size]
         there = np.isfinite(piece)
         if 2 * np.count_nonzero(there) > size:
@@ -265,7 +261,7 @@ def _levels_db(y: Array, size: int, largest: float) -> Array:
 
 def _largest_step(level: Array) -> tuple[int, float]:
     """Piece at which the level steps most, and the step of the median in dB; four pieces on either side."""
-    steps = [(_step_at(level, at), at) for at in range(4, LEVEL_PIECES - 3)]
+    steps = [(_step_at(level, at), at) for at in range(4, RECORD_THRESHOLDS.level_pieces - 3)]
     step, at = max(steps, key=lambda s: abs(s[0]))
     return at, step
 

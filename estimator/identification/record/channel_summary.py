@@ -10,17 +10,11 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from estimator.arrays import Array
+from estimator.identification.record.thresholds import RECORD_THRESHOLDS
 from estimator.model.recorder import AntiAlias
 
 from .findings import ChannelSummary
 from .thresholds import PIECE_ROWS
-
-ISO_BAND_HZ = (10.0, 1000.0)  # of the velocity, ISO 20816-1
-RATE_PER_PASSED_HZ = 2.56  # of a recorder whose filter is not known: the habit of analysers since the first ones
-MIN_PASSED_AMPLITUDE = 0.8  # of the filter at an edge of a band: tolerance of ISO 2954 at 10 and 1000 Hz
-MIN_STRETCH_S = 1.0  # ten periods of the lower edge
-SEGMENT_S = 2.0  # of the spectrum that is integrated to velocity
-MAX_SEGMENTS = 256  # of an averaged spectrum, spread over the record: its random error is 6 %, of a band far less
 
 
 def stretches(there: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -85,7 +79,7 @@ def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -
     """
     window = np.hanning(samples + 1)[:-1]
     total, count = np.zeros(samples // 2 + 1), 0
-    for starts in segment_starts(np.isfinite(y), samples, MAX_SEGMENTS):
+    for starts in segment_starts(np.isfinite(y), samples, RECORD_THRESHOLDS.max_summary_segments):
         transform = rfft(segments(y, starts, samples) * (window / scale), axis=1)
         total += np.sum(transform.real**2 + transform.imag**2, axis=0)
         count += starts.size
@@ -99,9 +93,9 @@ def usable_hz(recorder: AntiAlias | None, rate_hz: float) -> float:
     recorder : the filter of the rig file. None: not known, and the rate over 2.56 is taken.
     """
     if recorder is None:
-        return rate_hz / RATE_PER_PASSED_HZ
+        return rate_hz / RECORD_THRESHOLDS.rate_per_passed_hz
     f: Array = np.linspace(0.0, 0.5 * rate_hz, 2000)
-    beyond = np.flatnonzero(np.abs(recorder.response(f, rate_hz)) < MIN_PASSED_AMPLITUDE)
+    beyond = np.flatnonzero(np.abs(recorder.response(f, rate_hz)) < RECORD_THRESHOLDS.min_passed_amplitude)
     return min(float(f[beyond[0]]) if beyond.size else 0.5 * rate_hz, recorder.trusted_to_hz(rate_hz))
 
 
@@ -111,13 +105,13 @@ def velocity_rms(y: Array, kind: str, rate_hz: float, reach_hz: float, scale: fl
     y : (n,) m/s^2 or m/s. reach_hz : up to which a level is known. scale : size of the samples: powers of numbers about
     1 neither overflow nor vanish.
     """
-    if kind not in ("acceleration", "velocity") or reach_hz < ISO_BAND_HZ[1]:
+    if kind not in ("acceleration", "velocity") or reach_hz < RECORD_THRESHOLDS.iso_band_hz[1]:
         return None
     longest = longest_stretch(y)
-    if longest < MIN_STRETCH_S * rate_hz:
+    if longest < RECORD_THRESHOLDS.min_stretch_s * rate_hz:
         return None
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, SEGMENT_S * rate_hz)), scale)
-    inside = (f >= ISO_BAND_HZ[0]) & (f <= ISO_BAND_HZ[1])
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_THRESHOLDS.segment_s * rate_hz)), scale)
+    inside = (f >= RECORD_THRESHOLDS.iso_band_hz[0]) & (f <= RECORD_THRESHOLDS.iso_band_hz[1])
     order = 2.0 if kind == "acceleration" else 0.0
     power = psd[inside] / (2.0 * np.pi * f[inside]) ** order
     return float(np.sqrt(np.sum(power) * (f[1] - f[0]))) * scale

@@ -6,11 +6,7 @@ import numpy as np
 from scipy.special import betainc
 
 from estimator.arrays import Array
-
-EXTREME_RANGE_REL = 0.3  # of the range of a channel from its extreme: so close to it are few samples of a vibration
-ROUNDING_REL = 1e-9  # of the extreme value: values of a computed tone that differ by less are one
-MAX_REPEATED_VALUES = 64  # different values near the extreme of a clean tone with a whole number of samples a period
-MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as have the next value
+from estimator.identification.record.thresholds import RECORD_THRESHOLDS
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
@@ -38,10 +34,17 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if found:
         return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
-    size = np.abs(y[(y > (1.0 - EXTREME_RANGE_REL) * top) | (y < (EXTREME_RANGE_REL - 1.0) * top)])
+    size = np.abs(
+        y[
+            (y > (1.0 - RECORD_THRESHOLDS.extreme_range_rel) * top)
+            | (y < (RECORD_THRESHOLDS.extreme_range_rel - 1.0) * top)
+        ]
+    )
     if size.size <= 40:
         return None
-    if len(np.unique(np.round(size / top, 6))) <= MAX_REPEATED_VALUES:  # no noise: the same crest again and again
+    if (
+        len(np.unique(np.round(size / top, 6))) <= RECORD_THRESHOLDS.max_repeated_values
+    ):  # no noise: the same crest again and again
         return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
@@ -53,26 +56,26 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
 
 def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
     """Pile-up of a channel (n,) at its upper extreme, and at its lower one with sign reversed; None without one."""
-    reach = EXTREME_RANGE_REL * (high - low)
+    reach = RECORD_THRESHOLDS.extreme_range_rel * (high - low)
     return _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
 
 
 def _pileup(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it; None if a falling density allows as many."""
     top = z.max()
-    equal = z >= top - ROUNDING_REL * abs(top)
+    equal = z >= top - RECORD_THRESHOLDS.rounding_rel * abs(top)
     count = int(np.count_nonzero(equal))
     below = z[~equal]
-    if count <= MIN_PILE_SAMPLES or not below.size:
+    if count <= RECORD_THRESHOLDS.min_pile_samples or not below.size:
         return None
-    next_count = np.count_nonzero(below >= below.max() - ROUNDING_REL * abs(top))
-    return (float(top), count) if count > 3 * next_count + MIN_PILE_SAMPLES else None
+    next_count = np.count_nonzero(below >= below.max() - RECORD_THRESHOLDS.rounding_rel * abs(top))
+    return (float(top), count) if count > 3 * next_count + RECORD_THRESHOLDS.min_pile_samples else None
 
 
 def pileup_p_value(count: int) -> float:
     """p-value of a pile-up of `count` samples.
 
-    The next value has a third of the samples beyond `MIN_PILE_SAMPLES`; under a falling density both are equally
+    The next value has a third of the samples beyond `min_pile_samples`; under a falling density both are equally
     likely.
 
     Parameters
@@ -80,4 +83,4 @@ def pileup_p_value(count: int) -> float:
     count : int
         Samples at the extreme value.
     """
-    return float(betainc(count, max(count - MIN_PILE_SAMPLES, 0) / 3 + 1, 0.5))
+    return float(betainc(count, max(count - RECORD_THRESHOLDS.min_pile_samples, 0) / 3 + 1, 0.5))

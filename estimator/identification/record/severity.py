@@ -15,24 +15,13 @@ import numpy as np
 from estimator.arrays import Array, real_samples
 from estimator.model.rig import MOTION_UNITS, MachineClass, Model
 
-from .channel_summary import (
-    ISO_BAND_HZ,
-    MIN_STRETCH_S,
-    SEGMENT_S,
-    longest_stretch,
-    moments,
-    power_spectrum,
-    summarise,
-    usable_hz,
-)
+from .channel_summary import longest_stretch, moments, power_spectrum, summarise, usable_hz
 from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding, RecordSurvey
 from .survey import STILL_CODES, survey_record
 from .thresholds import RECORD_THRESHOLDS
 from .usable import without_spikes
 
 Zone = Literal["A", "B", "C", "D"]
-BAND_EDGES_HZ = (10.0, 100.0, 1000.0, 5000.0, 10000.0, 20000.0)  # shaft orders; ISO; defects; resonances of sensors
-MIN_ISO_SPEED_RPM = 600.0  # ISO 20816-3: below it the lower edge is 2 Hz
 WRONG_VALUE_CODES = STILL_CODES | {"wrong_unit", "absurd_values"}  # findings that no number of the channel outlives
 SHAPE_NAMES = ("rms", "peak", "crest", "kurtosis")
 ALL_NAMES = (*SHAPE_NAMES, "velocity_rms_mm_s", "displacement_rms_um", "zone", "bands")
@@ -194,9 +183,9 @@ def _of_channel(
     reach_hz, seconds = usable_hz(model.anti_alias, rate_hz), longest_stretch(y) / rate_hz
     bands, displacement = _levels(y, kind, rate_hz, reach_hz)
     velocity = summary.velocity_rms_mm_s
-    short = _short_text(seconds) if seconds < MIN_STRETCH_S else ""
+    short = _short_text(seconds) if seconds < RECORD_THRESHOLDS.min_stretch_s else ""
     beyond = _reach_text(model, rate_hz, reach_hz)
-    unreached = beyond if reach_hz < ISO_BAND_HZ[1] else short
+    unreached = beyond if reach_hz < RECORD_THRESHOLDS.iso_band_hz[1] else short
     if kind == "displacement" and not unreached:
         void["velocity_rms_mm_s"] = HOUSING_TEXT
     if unreached:
@@ -222,18 +211,18 @@ def _of_channel(
 def _levels(y: Array, kind: str, rate_hz: float, reach_hz: float) -> tuple[tuple[BandLevel, ...], float | None]:
     """Levels in the fixed bands, and displacement from 10 to 1000 Hz in um rms; none of a record that is too short."""
     longest = longest_stretch(y)
-    if longest < MIN_STRETCH_S * rate_hz:
+    if longest < RECORD_THRESHOLDS.min_stretch_s * rate_hz:
         return (), None
     scale = float(np.nanmax(np.abs(y))) or 1.0
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, SEGMENT_S * rate_hz)), scale)
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_THRESHOLDS.segment_s * rate_hz)), scale)
     bands = []
-    for low, high in zip(BAND_EDGES_HZ[:-1], BAND_EDGES_HZ[1:], strict=True):
+    for low, high in zip(RECORD_THRESHOLDS.band_edges_hz[:-1], RECORD_THRESHOLDS.band_edges_hz[1:], strict=True):
         if low >= reach_hz:
             break
         inside = (f >= low) & (f < high)
         rms = float(np.sqrt(np.sum(psd[inside]) * f[1])) * scale if high <= reach_hz else None
         bands.append(BandLevel(low_hz=low, high_hz=high, rms=rms))
-    low, high = ISO_BAND_HZ
+    low, high = RECORD_THRESHOLDS.iso_band_hz
     inside = (f >= low) & (f <= high)
     order = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0}[kind]
     power = float(np.sum(psd[inside] / (2.0 * np.pi * f[inside]) ** order) * f[1])
@@ -250,13 +239,13 @@ def _reach_text(model: Model, rate_hz: float, reach_hz: float) -> str:
 
 
 def _short_text(seconds: float) -> str:
-    return f"the longest stretch without a gap has {seconds:.3g} s: 10 Hz needs {MIN_STRETCH_S:g} s"
+    return f"the longest stretch without a gap has {seconds:.3g} s: 10 Hz needs {RECORD_THRESHOLDS.min_stretch_s:g} s"
 
 
 def _why_no_zone(model: Model) -> str:
     """Why a velocity has no zone; "" if it has one."""
     if model.iso20816 is None:
         return 'no machine class: add [machine] iso20816 = { part = 3, group = 2, support = "rigid" } to the rig file'
-    if model.speed_rpm is not None and model.speed_rpm < MIN_ISO_SPEED_RPM:
+    if model.speed_rpm is not None and model.speed_rpm < RECORD_THRESHOLDS.min_iso_speed_rpm:
         return f"at {model.speed_rpm:g} rpm ISO 20816-3 judges from 2 Hz on, and this velocity begins at 10 Hz"
     return ""

@@ -9,13 +9,6 @@ from estimator.arrays import Array
 
 from .thresholds import PIECE_ROWS, RECORD_THRESHOLDS, Thresholds
 
-GAUSSIAN_MAD = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
-MIN_SAMPLES = 16  # for the robust standard deviation
-MAX_MEDIAN_SAMPLES = 1 << 20  # that a median is taken of
-FEW_SAMPLES = 250  # whose robust standard deviation is right to some per cent
-MAX_SPIKE_SHARE = 0.01  # of the samples: more are no single samples
-NEIGHBOUR_ROWS = (-4, -3, -2, 2, 3, 4)  # distances; a spike may have two samples
-
 
 def robust_scale(y: Array) -> tuple[float, float]:
     """Median of a channel (n,), and the standard deviation of a Gaussian with its median absolute deviation.
@@ -23,14 +16,14 @@ def robust_scale(y: Array) -> tuple[float, float]:
     Of a long channel they are of samples drawn at random: their error is a thousandth of the deviation. NaN with fewer
     than 16 finite samples.
     """
-    if y.size > MAX_MEDIAN_SAMPLES:
-        y = y[np.random.default_rng(0).integers(0, y.size, MAX_MEDIAN_SAMPLES)]
+    if y.size > RECORD_THRESHOLDS.max_median_samples:
+        y = y[np.random.default_rng(0).integers(0, y.size, RECORD_THRESHOLDS.max_median_samples)]
     z = y[np.isfinite(y)].astype(np.float64, copy=False)
-    if z.size < MIN_SAMPLES:
+    if z.size < RECORD_THRESHOLDS.min_samples:
         return np.nan, np.nan
     centre = float(np.median(z))
     with np.errstate(over="ignore"):
-        return centre, float(np.median(np.abs(z - centre))) / GAUSSIAN_MAD
+        return centre, float(np.median(np.abs(z - centre))) / RECORD_THRESHOLDS.gaussian_mad
 
 
 def surely_without_spikes(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.bool_]:
@@ -38,12 +31,12 @@ def surely_without_spikes(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> N
 
     Medians of all samples would be a third of the cost of a live estimate. y : (n, channels).
     """
-    if not 4 * FEW_SAMPLES < len(y) < PIECE_ROWS:
+    if not 4 * RECORD_THRESHOLDS.few_samples < len(y) < PIECE_ROWS:
         return np.zeros(y.shape[1], bool)
-    few = y[:: max(1, len(y) // FEW_SAMPLES)]
+    few = y[:: max(1, len(y) // RECORD_THRESHOLDS.few_samples)]
     with np.errstate(over="ignore", invalid="ignore"):
         centre = np.median(few, axis=0)
-        sd = np.median(np.abs(few - centre), axis=0) / GAUSSIAN_MAD
+        sd = np.median(np.abs(few - centre), axis=0) / RECORD_THRESHOLDS.gaussian_mad
         reach = np.maximum(y.max(axis=0) - centre, centre - y.min(axis=0))
         return np.asarray((reach < 0.5 * limits.min_spike_sd * sd) & (sd < np.inf))
 
@@ -77,7 +70,7 @@ def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.i
             ]
         )
         rows = rows[np.isfinite(y[rows])]
-    if not rows.size or rows.size > max(MAX_SPIKE_SHARE * y.size, 2):
+    if not rows.size or rows.size > max(RECORD_THRESHOLDS.max_spike_share * y.size, 2):
         return np.zeros(0, dtype=np.intp)
 
     def size(at: NDArray[np.intp]) -> Array:
@@ -87,7 +80,7 @@ def spike_rows(y: Array, limits: Thresholds = RECORD_THRESHOLDS) -> NDArray[np.i
             return np.where(np.isfinite(own), np.abs(own - centre) / sd, 0.0)
 
     near = np.ones(rows.size)
-    for shift in NEIGHBOUR_ROWS:
+    for shift in RECORD_THRESHOLDS.neighbour_rows:
         at = rows + shift
         inside = (at >= 0) & (at < y.size)
         near = np.maximum(near, np.where(inside, size(np.clip(at, 0, y.size - 1)), 0.0))

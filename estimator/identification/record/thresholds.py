@@ -110,5 +110,48 @@ class Thresholds:
     converter_bits: int = 22
     min_repeated_share: float = 0.05
 
+    # channel_faults
+    levels_samples: int = 1 << 17  # samples that the levels of a converter are counted in
+
+    # channel_pairs
+    segment_samples: int = 1024  # of the spectra of two channels
+    max_pair_segments: int = 4096  # spread over the record
+    min_segments: int = 16  # a coherence of 0.8 from noise has p = 0.2^15
+    level_pieces: int = 40  # of the record, for the level against time
+
+    # channel_summary
+    iso_band_hz: tuple[float, float] = (10.0, 1000.0)  # of the velocity, ISO 20816-1
+    # of a recorder whose filter is not known: the habit of analysers since the first ones
+    rate_per_passed_hz: float = 2.56
+    min_passed_amplitude: float = 0.8  # of the filter at an edge of a band: tolerance of ISO 2954 at 10 and 1000 Hz
+    min_stretch_s: float = 1.0  # ten periods of the lower edge
+    segment_s: float = 2.0  # of the spectrum that is integrated to velocity
+    # of an averaged spectrum, spread over the record: its random error is 6 %, of a band far less
+    max_summary_segments: int = 256
+
+    # clipping
+    # of the range of a channel from its extreme: so close to it are few samples of a vibration
+    extreme_range_rel: float = 0.3
+    rounding_rel: float = 1e-9  # of the extreme value: values of a computed tone that differ by less are one
+    # different values near the extreme of a clean tone with a whole number of samples a period
+    max_repeated_values: int = 64
+    min_pile_samples: int = 20  # of one extreme value, besides three times as many as have the next value
+
+    # severity
+    # shaft orders; ISO; defects; resonances of sensors
+    band_edges_hz: tuple[float, ...] = (10.0, 100.0, 1000.0, 5000.0, 10000.0, 20000.0)
+    min_iso_speed_rpm: float = 600.0  # ISO 20816-3: below it the lower edge is 2 Hz
+
+    # spikes
+    gaussian_mad: float = 0.6745  # median absolute deviation over the standard deviation of a Gaussian
+    min_samples: int = 16  # for the robust standard deviation
+    max_median_samples: int = 1 << 20  # that a median is taken of
+    few_samples: int = 250  # whose robust standard deviation is right to some per cent
+    max_spike_share: float = 0.01  # of the samples: more are no single samples
+    neighbour_rows: tuple[int, ...] = (-4, -3, -2, 2, 3, 4)  # distances; a spike may have two samples
+
+    # usable
+    level_sd_rel: float = 1e-3  # of the level of a limiter: noise behind it blurs it
+
 
 RECORD_THRESHOLDS = Thresholds()
