@@ -304,6 +304,12 @@ def _explains_coherence(given: RigFit, changed: RigFit) -> bool:
     return changed.coherence_nats <= THRESHOLDS.coherence_max_left_rel * given.coherence_nats
 
 
+def is_common_slip(values: Values) -> bool:
+    """Whether a mistake has no factor, or one of two or ten within what a rough factor allows."""
+    apart = [abs(float(np.log(values[0] / factor))) for factor in THRESHOLDS.trial_factors] if values else [0.0]
+    return min(apart) < THRESHOLDS.max_factor_sd_log
+
+
 def _is_slip(values: Values) -> bool:
     """Whether a factor differs from one by more than instruments and its standard deviation allow, and is a slip."""
     if not values:

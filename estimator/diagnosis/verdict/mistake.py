@@ -9,7 +9,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.rig_file import MistakeTrial, likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import MistakeTrial, is_common_slip, likeliest_mistake
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
@@ -26,7 +26,8 @@ def explaining_mistake(
 ) -> tuple[Entry | None, tuple[Message, ...]]:  # fmt: skip
     """The likeliest mistake in the rig file as a candidate, and what to check; None where none explains the record.
 
-    A remark says where not all mistakes were tried.
+    A remark says where not all mistakes were tried. Beside a model that leaves nothing only a common slip is named:
+    structural modes that are not quite right are explained as well by a factor of any size.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def explaining_mistake(
     try:
         trial = likeliest_mistake(bare, y, rate_hz, max_work)
         mistake, untried = trial.mistake, _untried(trial)
-        if mistake is None:
+        if mistake is None or (survey is not None and survey.explained and not is_common_slip(mistake.values)):
             return None, untried
         if survey is None or not survey.explained:
             corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
