@@ -49,8 +49,8 @@ class BearingSurvey:
     def inconclusive(self) -> Message | None:
         """Why a missing force could hide where none is found; None where the record would show it.
 
-        Structural modes, or the spectrum of the force, may explain what a law does where they leave the stiffness of
-        the bearing open.
+        Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
+        the bearing open, and in a short record.
         """
         loose = [p for p in self.part.data.places if not fitted_parameters(self.part)[f"{p}.kL"].identifiable]
         hidden = self.missing.interval()[2]
@@ -60,6 +60,10 @@ class BearingSurvey:
         if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
+        seconds = self.part.data.seconds
+        if self.part.data.background is not None and seconds < LIMITS.min_seconds_beside_modes:
+            text = f"no missing force is found, but beside structural modes {seconds:.0f} s do not show every effect"
+            return Message(NOT_CONCLUSIVE, f"{text}; record half a minute or more")
         return None
 
     @property
