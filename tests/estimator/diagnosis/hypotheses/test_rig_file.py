@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.rig_changes import (
     SwappedChannels,
     coupling_hypotheses,
 )
-from estimator.diagnosis.hypotheses.rig_file import likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import is_common_slip, likeliest_mistake
 from estimator.diagnosis.verdict.mistake import explaining_mistake
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -41,6 +41,23 @@ def test_a_factor_changes_one_number_and_back(hypothesis: ScaledMass | ScaledSpr
     (parameter,) = hypothesis.parameters(model, (2.0, 0.1)).values()
     assert parameter.value in (2 * model.mass["bearing1"], 2 * model.shaft_stiffness)
     assert (2.0, 1.0) in hypothesis.propose(model)
+
+
+@pytest.mark.parametrize(
+    ("values", "common"),
+    [
+        ((), True),
+        ((2.1, 0.1), True),
+        ((0.5, 0.1), True),
+        ((11.0, 0.1), True),
+        ((0.67, 0.1), False),
+        ((5.0, 0.1), False),
+    ],
+)
+def test_a_common_slip_is_a_factor_of_two_or_ten_a_swap_or_an_inversion(
+    values: tuple[float, ...], common: bool
+) -> None:
+    assert is_common_slip(values) is common
 
 
 def test_channels_change_places_and_signs() -> None:

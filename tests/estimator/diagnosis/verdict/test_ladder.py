@@ -52,4 +52,5 @@ def test_a_pedestal_is_one_cause_and_beside_a_peak_of_the_force_a_structural_mod
     assert (ladder.whole.model.background is not None) is structural
     assert len(ladder.rungs) == 1
     if structural:
-        assert ladder.survey.adequate
+        assert ladder.survey.explained
+        assert not ladder.survey.adequate  # eight seconds beside modes do not show every effect
