@@ -150,5 +150,13 @@ class Thresholds:
     # whitening/whitening
     blocks_per_fft: int = 32  # transformed at a time; more do not stay in the cache
 
+    # law_gain
+    optional_cost_nats: float = 1.5  # what an idle parameter gains held in and loses held out
+    # by searched parameters of one location alone; about the price of a parameter
+    min_own_values_gain_nats: float = 2.0
+
+    # subproblem
+    impossible_nats: float = 1e6  # lost on a fold that a fit calls impossible, as where a mode is unstable
+
 
 LIMITS = Thresholds()

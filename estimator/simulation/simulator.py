@@ -23,9 +23,7 @@ from .plan import Plan, simulation_plan
 from .shaft_speed import ShaftSpeed
 from .start import start_state
 from .stepper import Stepper
-
-BLOCK_SAMPLES = 1024  # output samples made at a time; another size gives other random numbers
-MARGIN_SAMPLES = 512  # before and after a block, for the memory of sensor effects
+from .thresholds import LIMITS
 
 
 def antialias_taps(oversample: int) -> Array:
@@ -95,14 +93,14 @@ class Simulator:
         self._sensor_rngs = [np.random.default_rng(s) for s in sensor_seeds]
         self._step = Stepper(self.plan, 1.0 / (rate_hz * oversample), self.speed)
         self._taps = antialias_taps(oversample)
-        before = MARGIN_SAMPLES * oversample + self._taps.size // 2
+        before = LIMITS.margin_samples * oversample + self._taps.size // 2
         self._step.x, self._step.v, self._step.z, self._step.count = start_state(
             model, self.plan, self._step, self._rng, start, -before
         )
-        self._steps = np.zeros((len(self.plan.channels), self._taps.size + BLOCK_SAMPLES * oversample))
+        self._steps = np.zeros((len(self.plan.channels), self._taps.size + LIMITS.block_samples * oversample))
         self._step.advance(self._rng, self._steps[:, : self._taps.size])
         self._tail = np.zeros((0, len(model.channels)))  # stepped rows whose sensors have not been applied
-        self._raw_index = -MARGIN_SAMPLES
+        self._raw_index = -LIMITS.margin_samples
         self._ready = np.zeros((0, len(model.channels)))
 
     def next(self, n: int) -> Array:
@@ -126,27 +124,27 @@ class Simulator:
         parts, have = [self._ready], len(self._ready)
         while have < n:
             parts.append(self._block())
-            have += BLOCK_SAMPLES
+            have += LIMITS.block_samples
         rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
         self._ready = rows[n:]
         return rows[:n].copy()
 
     def _block(self) -> Array:
-        """(BLOCK_SAMPLES, channels) next rows with sensor effects."""
-        need = BLOCK_SAMPLES + 2 * MARGIN_SAMPLES
+        """(block_samples, channels) next rows with sensor effects."""
+        need = LIMITS.block_samples + 2 * LIMITS.margin_samples
         while len(self._tail) < need:
             self._tail = np.concatenate([self._tail, self._raw()])
-        rows, self._tail = self._tail[:need], self._tail[BLOCK_SAMPLES:]
+        rows, self._tail = self._tail[:need], self._tail[LIMITS.block_samples :]
         for (channel, effect, p), rng in zip(self.plan.sensors, self._sensor_rngs, strict=True):
             if effect.apply is None:
                 raise ModelError(f"effect {effect.name}: a sensor effect needs apply")
             rows = rows.copy()
             rows[:, channel] = effect.apply(rows[:, channel], self.rate_hz, p, rng)
-        return self._recorded(rows)[MARGIN_SAMPLES : MARGIN_SAMPLES + BLOCK_SAMPLES]
+        return self._recorded(rows)[LIMITS.margin_samples : LIMITS.margin_samples + LIMITS.block_samples]
 
     def _recorded(self, rows: Array) -> Array:
         """The rows behind the recorder's anti-alias filter, without its delay; a tacho does not pass it."""
-        own, padded = self.model.anti_alias, [(MARGIN_SAMPLES, MARGIN_SAMPLES), (0, 0)]
+        own, padded = self.model.anti_alias, [(LIMITS.margin_samples, LIMITS.margin_samples), (0, 0)]
         if own is None:
             return np.asarray(rows)
         behind = [k for k, c in enumerate(self.model.channels) if c.kind != "tacho"]
@@ -154,20 +152,20 @@ class Simulator:
         H = own.response(np.asarray(np.fft.rfftfreq(len(whole), 1.0 / self.rate_hz), dtype=np.float64), self.rate_hz)
         out = rows.copy()
         filtered = np.fft.irfft(np.fft.rfft(whole, axis=0) * H[:, None], len(whole), axis=0)
-        out[:, behind] = filtered[MARGIN_SAMPLES:-MARGIN_SAMPLES]
+        out[:, behind] = filtered[LIMITS.margin_samples : -LIMITS.margin_samples]
         return out
 
     def _raw(self) -> Array:
-        """(BLOCK_SAMPLES, channels) next rows before any sensor effect."""
+        """(block_samples, channels) next rows before any sensor effect."""
         kept, steps = self._taps.size, self._steps
         self._step.advance(self._rng, steps[:, kept:])
-        stepped = np.empty((BLOCK_SAMPLES, len(steps)))
+        stepped = np.empty((LIMITS.block_samples, len(steps)))
         kernel.decimate(steps, self._taps, self.oversample, stepped)
         steps[:, :kept] = steps[:, -kept:].copy()
         if not np.all(np.isfinite(stepped)):
             raise ModelError("the simulated rotor ran away: an effect feeds energy in or the step is too long for it")
-        out = np.zeros((BLOCK_SAMPLES, len(self.model.channels)))
-        t: Array = np.asarray((self._raw_index + np.arange(BLOCK_SAMPLES)) / self.rate_hz, dtype=np.float64)
+        out = np.zeros((LIMITS.block_samples, len(self.model.channels)))
+        t: Array = np.asarray((self._raw_index + np.arange(LIMITS.block_samples)) / self.rate_hz, dtype=np.float64)
         column = 0
         for i, channel in enumerate(self.model.channels):
             if channel.kind == "tacho":
@@ -175,7 +173,7 @@ class Simulator:
             else:
                 out[:, i] = stepped[:, column]
                 column += 1
-        self._raw_index += BLOCK_SAMPLES
+        self._raw_index += LIMITS.block_samples
         return out
 
 

@@ -22,12 +22,10 @@ from estimator.model.rig import Model
 from estimator.model.rotor import assemble, linear_covariance
 
 from .plan import Plan
+from .thresholds import LIMITS
 
 if TYPE_CHECKING:
     from .stepper import Stepper
-
-BURN_S = 0.5  # run before the record where the stationary density is not known
-MIN_BARRIER_T = 20.0  # height of the potential barrier of a softening model, over its temperature
 
 
 def start_state(
@@ -57,7 +55,7 @@ def start_state(
         if known.exact and not plan.correlation and not plan.shapes:
             _thermalise(plan, stepper, rng, known.temperature)
         else:
-            steps = round(BURN_S / stepper.dt)
+            steps = round(LIMITS.burn_s / stepper.dt)
             stepper.count = first - steps
             stepper.run_in(rng, steps)
     return stepper.x, stepper.v, stepper.z, first
@@ -81,7 +79,7 @@ def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
     """Raise ModelError where the static force of the effects lets a cap leave its potential well for good.
 
     sigma : (dofs,) m, temperature : (dofs,) J, of each degree of freedom of the linear rotor. The barrier is the
-    highest potential along x. On either side it must exceed MIN_BARRIER_T temperatures.
+    highest potential along x. On either side it must exceed min_barrier_t temperatures.
     """
     for i, dof in enumerate(plan.rig.dofs):
         laws = [a for a in plan.acting if a.where[1] == i and a.effect.stationary_density and a.effect.force]
@@ -94,11 +92,11 @@ def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
             for a in laws:
                 force = force + side * force_array(a.effect, a.p, side * x, s=a.s)
             V = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1])) * (x[1] - x[0])])
-            if force[-1] < 0.0 and V.max() < MIN_BARRIER_T * temperature[i]:
+            if force[-1] < 0.0 and V.max() < LIMITS.min_barrier_t * temperature[i]:
                 names = ", ".join(a.effect.name for a in laws)
                 raise ModelError(
                     f"{dof}: {names} softens without end and has no stationary density "
-                    f"(barrier {V.max() / temperature[i]:.1f} T, at least {MIN_BARRIER_T:g} T is needed): "
+                    f"(barrier {V.max() / temperature[i]:.1f} T, at least {LIMITS.min_barrier_t:g} T is needed): "
                     "weaken it, or use hertz"
                 )
 

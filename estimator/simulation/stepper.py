@@ -11,8 +11,7 @@ from estimator.model.rotor import propagator
 from . import kernel as kernel
 from .plan import Plan, Slots, effect_table
 from .shaft_speed import ShaftSpeed
-
-SHAPE_TAPS = 4096  # length of the filter that gives a force its spectral shape
+from .thresholds import LIMITS
 
 
 class Stepper:
@@ -73,11 +72,13 @@ class Stepper:
             from scipy.signal import oaconvolve
 
             if self._past is None:
-                self._past = rng.standard_normal((SHAPE_TAPS, self.driven.size))
+                self._past = rng.standard_normal((LIMITS.shape_taps, self.driven.size))
             whole = np.concatenate([self._past, white])
-            self._past = whole[-SHAPE_TAPS:]
+            self._past = whole[-LIMITS.shape_taps :]
             for column, taps in self._shapes:
-                white[:, column] = oaconvolve(whole[:, column], taps, mode="full")[SHAPE_TAPS : SHAPE_TAPS + steps]
+                white[:, column] = oaconvolve(whole[:, column], taps, mode="full")[
+                    LIMITS.shape_taps : LIMITS.shape_taps + steps
+                ]
         return np.asarray(white * self.level)
 
 
@@ -96,9 +97,9 @@ def _correlation(plan: Plan, driven: np.ndarray) -> Array | None:
 
 
 def _shape_taps(shape: object, p: Array, dt: float) -> Array:
-    """(SHAPE_TAPS,) filter whose gain is the root of the spectral shape, by sampling in frequency."""
+    """(shape_taps,) filter whose gain is the root of the spectral shape, by sampling in frequency."""
     if not callable(shape):
         raise TypeError("shape must be callable")
-    gain = np.sqrt(np.maximum(shape(np.fft.rfftfreq(SHAPE_TAPS, dt), p), 0.0))
-    taps = np.roll(np.fft.irfft(gain), SHAPE_TAPS // 2)
-    return np.asarray(taps * np.hanning(SHAPE_TAPS + 1)[:SHAPE_TAPS])
+    gain = np.sqrt(np.maximum(shape(np.fft.rfftfreq(LIMITS.shape_taps, dt), p), 0.0))
+    taps = np.roll(np.fft.irfft(gain), LIMITS.shape_taps // 2)
+    return np.asarray(taps * np.hanning(LIMITS.shape_taps + 1)[: LIMITS.shape_taps])

@@ -26,7 +26,7 @@ class Thresholds:
     # survey
     max_hidden_force_percent: float = 3.0  # of the bearing force: the least effect that users are promised to be told
     # of a record that shows the effects that are there: of 14 hidden ones in 10 to 12 s, 4 were not seen
-    min_seconds_beside_modes: float = 20.0
+    min_seconds_beside_modes: float = 15.0
 
     # twin
     twin_seconds: float = 5.0  # of the simulated record

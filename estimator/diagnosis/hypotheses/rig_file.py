@@ -19,7 +19,8 @@ from estimator.effects.engine.custom import effect_of
 from estimator.errors import ModelError
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.structure.cross_spectra import SearchTooLongError
-from estimator.identification.structure.rig_spectra import MAX_WORK_DERIVATIVES, Arrangement, RigFit, RigSpectra
+from estimator.identification.structure.rig_spectra import Arrangement, RigFit, RigSpectra
+from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import Model
 
@@ -196,7 +197,7 @@ class _Trials:
 
 
 def likeliest_mistake(
-    model: Model, y: Array, rate_hz: float, max_work: float = MAX_WORK_DERIVATIVES
+    model: Model, y: Array, rate_hz: float, max_work: float = STRUCTURE_LIMITS.max_work_derivatives
 ) -> MistakeTrial:  # fmt: skip
     """The mistake with which the rig explains the spectra of the caps best, of those that are tried.
 

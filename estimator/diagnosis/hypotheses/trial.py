@@ -22,16 +22,11 @@ from estimator.likelihood.motion.located_law import (
     searched_parameters,
     start_value,
 )
-from estimator.likelihood.path.law_gain import (
-    MIN_OWN_VALUES_GAIN_NATS,
-    LawGain,
-    base_fit,
-    fitted_gain,
-    independent_regressors,
-)
+from estimator.likelihood.path.law_gain import LawGain, base_fit, fitted_gain, independent_regressors
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
@@ -254,7 +249,8 @@ def with_borrowed_parameters(
         if own is not None and alike(own, best):
             return own
         new = moved(best, location)
-        return own if new is None or (own is not None and new.gain <= own.gain - MIN_OWN_VALUES_GAIN_NATS) else new
+        least = -np.inf if own is None else own.gain - LIKELIHOOD_LIMITS.min_own_values_gain_nats
+        return own if new is None or new.gain <= least else new
 
     return [t for t in map(lent, locations) if t is not None]
 

@@ -18,8 +18,9 @@ from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.finding import is_cause_of_spectrum
-from estimator.identification.structure.background_search import MIN_GAIN_NATS, background_of_spectra
+from estimator.identification.structure.background_search import background_of_spectra
 from estimator.identification.structure.cross_spectra import Work
+from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -91,7 +92,7 @@ class Ladder:
         comparable = np.array_equal(modes.point.data.bins, one.point.data.bins)
         data = modes.point.data
         gain_nats = (heldout_nll(one.point) - heldout_nll(modes.point)) * data.blocks * data.block
-        if not comparable or gain_nats < MIN_GAIN_NATS:
+        if not comparable or gain_nats < STRUCTURE_LIMITS.min_gain_nats:
             return
         self.whole, self._background = modes, modes.model.background
         self.rungs[-1], self.survey = surveyed_rung(modes.model, modes.point, self._y)

@@ -14,7 +14,7 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance
 from estimator.identification.finding import OTHER_BEARING
-from estimator.identification.structure.rig_spectra import MAX_WORK_DERIVATIVES
+from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter
 
@@ -22,7 +22,8 @@ MISTAKES_UNTRIED = "mistakes_untried"  # code: the trial of mistakes was cut
 
 
 def explaining_mistake(
-    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None, max_work: float = MAX_WORK_DERIVATIVES
+    model: Model, y: Array, rate_hz: float, survey: BearingSurvey | None,
+    max_work: float = STRUCTURE_LIMITS.max_work_derivatives,
 ) -> tuple[Entry | None, tuple[Message, ...]]:  # fmt: skip
     """The likeliest mistake in the rig file as a candidate, and what to check; None where none explains the record.
 

@@ -24,6 +24,7 @@ from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.rig import Model, Setting
 from estimator.parallel import map_threads
 
@@ -120,7 +121,7 @@ def _best_of_grid(
 ) -> list[LocatedLaw]:
     """The laws at the best node of the grid of these factors, amplitudes as fitted there.
 
-    All locations share a node. A location gets its own node where that gains MIN_OWN_VALUES_GAIN_NATS.
+    All locations share a node. A location gets its own node where that gains min_own_values_gain_nats.
     """
     nodes = [_grid_nodes(point, use, factors, both_signs) for use in uses]
     pairs = [use for own in nodes for use in own]
@@ -131,7 +132,7 @@ def _best_of_grid(
     out = []
     for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
         best = int(np.argmax(gained))
-        best = best if gained[best] > gained[shared] + law_gain.MIN_OWN_VALUES_GAIN_NATS else shared
+        best = best if gained[best] > gained[shared] + LIKELIHOOD_LIMITS.min_own_values_gain_nats else shared
         got = results[best]
         out.append(use if got is None or got.gain <= 0.0 else _with_fitted_amplitudes(own[best], got.problem, got.fit))
     return out

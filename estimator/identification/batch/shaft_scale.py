@@ -14,7 +14,6 @@ import numpy as np
 
 from estimator.arrays import Array, products
 from estimator.identification.structure.background_search import (
-    MIN_GAIN_NATS,
     backgrounds,
     force_dispersion,
     search_background,
@@ -27,7 +26,7 @@ from estimator.identification.structure.spectral_problem import (
     spectral_problem,
     start_values,
 )
-from estimator.identification.structure.spectral_shape import MAX_BACKGROUND_DEPTH_RMS
+from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground
 from estimator.model.rig import Model
@@ -76,7 +75,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
         problem, point = best
         misfit = float(problem.misfit(point).max())
         sd = np.hypot(_mass_sd(problem, point) * force_dispersion(apart) ** 0.5, misfit)
-        if misfit > MAX_BACKGROUND_DEPTH_RMS or len(own) < 2:
+        if misfit > STRUCTURE_LIMITS.max_background_depth_rms or len(own) < 2:
             sd = np.full(sd.size, LIMITS.unknown_sd)
         ln_mass |= {
             data.places[own[cap]]: (float(heavier), float(s))
@@ -91,7 +90,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
 
 def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> tuple[JointSpectrum, JointPoint] | None:
     """The likeliest problem and point of several start masses, with the background that they need."""
-    least = MIN_GAIN_NATS * force_dispersion(apart)
+    least = STRUCTURE_LIMITS.min_gain_nats * force_dispersion(apart)
     if not problem.loose:
         starts = [problem.maximised(start_values(problem, apart))]
     else:

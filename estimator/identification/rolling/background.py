@@ -33,8 +33,6 @@ from .report import is_coloured
 from .start import FirstFit, first_record
 from .thresholds import LIMITS
 
-MAX_CORE_SHARE = 0.04  # of one core, that searches take in the long run
-
 
 @dataclass(slots=True)
 class FoundBackground:
@@ -84,7 +82,7 @@ class BackgroundSearch:
 
     def _allowed_s(self, seen: int) -> float:
         """Time of a core for the work of the next search beside its samples, after so many rows, s."""
-        return min(MAX_CORE_SHARE * seen / self._rate_hz - self._spent_s - self._samples_s, LIMITS.max_work_s)
+        return min(LIMITS.max_core_share * seen / self._rate_hz - self._spent_s - self._samples_s, LIMITS.max_work_s)
 
     def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
         """Whether to go on after so many rows. coloured : whether the residual force is not white."""

@@ -91,5 +91,8 @@ class Thresholds:
     min_watch_blocks: float = 4.0  # of the memory with the candidates
     min_eigenvalue_rel: float = 1e-5  # of the information: along smaller ones single precision says nothing
 
+    # background
+    max_core_share: float = 0.04  # of one core, that searches take in the long run
+
 
 LIMITS = Thresholds()

@@ -28,10 +28,8 @@ from .spectral_problem import (
     start_values,
     with_known_background,
 )
-from .spectral_shape import MAX_BACKGROUND_DEPTH_RMS, nats_of_one_cause
+from .spectral_shape import nats_of_one_cause
 from .thresholds import LIMITS
-
-MIN_GAIN_NATS = 20.0  # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -61,7 +59,7 @@ def one_cause_is_enough(model: Model, point: WorkingPoint, gain_nats: float) -> 
     cause_nats = nats_of_one_cause(model, point)
     if not cause_nats:
         return cause_nats is None
-    return gain_nats < cause_nats / LIMITS.explained_share + MIN_GAIN_NATS * force_dispersion(point)
+    return gain_nats < cause_nats / LIMITS.explained_share + LIMITS.min_gain_nats * force_dispersion(point)
 
 
 def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tuple[Background | None, float]:
@@ -98,7 +96,7 @@ def _of_direction(
     their spectra.
     """
     problem = replace(spectral_problem(model, point, measured_spectra(model, point, places)), work=work)
-    least = MIN_GAIN_NATS * force_dispersion(point)
+    least = LIMITS.min_gain_nats * force_dispersion(point)
     try:
         if (known := with_known_background(problem, point, model.background)) is None:
             found = first = problem.maximised(start_values(problem, point))
@@ -109,7 +107,7 @@ def _of_direction(
     except np.linalg.LinAlgError:
         return {}, 0.0
     gained = least if first is None else found.log_likelihood - first.log_likelihood
-    if gained < least or float(problem.misfit(found).max()) > MAX_BACKGROUND_DEPTH_RMS:
+    if gained < least or float(problem.misfit(found).max()) > LIMITS.max_background_depth_rms:
         return {}, 0.0
     if not _resonates(problem, found):
         return {}, 0.0

@@ -15,7 +15,7 @@ from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.signals.band_limit import noise_shape
 
-from .excitation import TAPER_COUNT, TAPER_EFFICIENCY, beside_lines, first_of_cells, sine_tapers
+from .excitation import beside_lines, first_of_cells, sine_tapers
 from .thresholds import LIMITS
 
 
@@ -86,7 +86,7 @@ def cross_spectra(
         for taper in sine_tapers(size):
             F = rfft(series[list(places), first : first + size] * taper, axis=1)[:, keep].T
             S += F[:, :, None] * F[:, None, :].conj()
-    T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * TAPER_COUNT * len(pieces)))
+    T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * LIMITS.taper_count * len(pieces)))
     S = T @ S @ T.conj().swapaxes(1, 2)
     first_bins = first_of_cells(f[keep] / f[keep[0]], LIMITS.matrix_cell_width_rel)
     bins = np.diff(np.append(first_bins, keep.size))
@@ -96,7 +96,7 @@ def cross_spectra(
         places=places,
         f_hz=centre,
         psd=np.asarray(np.add.reduceat(S, first_bins, axis=0) / bins[:, None, None], np.complex128),
-        n=bins * len(pieces) * TAPER_EFFICIENCY,
+        n=bins * len(pieces) * LIMITS.taper_efficiency,
         noise=noise_shape(kinds, 2 * np.pi * centre).T,
     )
 

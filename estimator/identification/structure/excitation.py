@@ -15,8 +15,6 @@ from estimator.model.rig import LineBand
 
 from .thresholds import LIMITS
 
-TAPER_COUNT = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
-TAPER_EFFICIENCY = 2 * TAPER_COUNT / (2 * TAPER_COUNT + 1)  # degrees of freedom of the average, per bin over 2
 KIND_ORDER = {"displacement": 2, "velocity": 1, "acceleration": 0}  # times j w to acceleration
 
 
@@ -102,7 +100,7 @@ def cell_spectrum(
         f_hz=centre,
         psd=per_block.mean(axis=0),
         block_psd=per_block,
-        shape=bins * len(pieces) * TAPER_EFFICIENCY,
+        shape=bins * len(pieces) * LIMITS.taper_efficiency,
         noise=scale / scale.mean(),
         bin_hz=1.0 / pieces.seconds,
     )
@@ -116,7 +114,7 @@ def first_of_cells(ratio: Array, width_rel: float) -> NDArray[np.intp]:
 
 def sine_tapers(size: int) -> Array:
     """(tapers, size) tapers of unit energy, orthogonal to each other."""
-    k, row = np.arange(1, TAPER_COUNT + 1)[:, None], np.arange(1, size + 1)
+    k, row = np.arange(1, LIMITS.taper_count + 1)[:, None], np.arange(1, size + 1)
     return np.asarray(np.sqrt(2.0 / (size + 1)) * np.sin(np.pi * k * row / (size + 1)))
 
 
@@ -132,7 +130,7 @@ def _piece_spectra(pieces: Pieces) -> tuple[Array, Array]:
             X = rfft(group * taper, axis=1)
             np.add.at(blocks, block_of[done : done + len(group)], X.real**2 + X.imag**2)
         done += len(group)
-    blocks *= 2.0 / (pieces.rate_hz * TAPER_COUNT)
+    blocks *= 2.0 / (pieces.rate_hz * LIMITS.taper_count)
     return blocks.sum(axis=0) / len(pieces), blocks / np.bincount(block_of)[:, None]
 
 

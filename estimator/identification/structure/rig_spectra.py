@@ -17,7 +17,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .background_search import MIN_GAIN_NATS, force_dispersion, search_background, without_idle_modes
+from .background_search import force_dispersion, search_background, without_idle_modes
 from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
@@ -29,8 +29,6 @@ from .spectral_problem import (
     with_known_background,
 )
 from .thresholds import LIMITS
-
-MAX_WORK_DERIVATIVES = 1e9  # of all rigs on trial together: about 25 s of a core of 2020
 
 SCANNED_FACTORS = np.geomspace(0.125, 8.0, 19)  # of a bearing's stiffness: a wrong rig has moved it
 
@@ -108,7 +106,7 @@ class RigSpectra:
         By every method, once all rigs together took more work than they may.
     """
 
-    def __init__(self, model: Model, point: WorkingPoint, max_work: float = MAX_WORK_DERIVATIVES) -> None:
+    def __init__(self, model: Model, point: WorkingPoint, max_work: float = LIMITS.max_work_derivatives) -> None:
         self._point, self._work = point, Work(limit=max_work)
         self.places = point.data.places
         self._spectra = measured_spectra(model, point, tuple(range(len(self.places))))
@@ -123,7 +121,7 @@ class RigSpectra:
     @property
     def cost_nats(self) -> float:
         """Nats that a structural mode has to gain."""
-        return MIN_GAIN_NATS * self.dispersion
+        return LIMITS.min_gain_nats * self.dispersion
 
     @property
     def as_given(self) -> Arrangement:

@@ -41,7 +41,6 @@ from .spectral_models import (
 from .thresholds import LIMITS
 
 ROLL_OFF_NOTE = "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high"
-MAX_BACKGROUND_DEPTH_RMS = 0.23  # of what a background leaves, 1 dB: instruments have +-10 % (ISO 2954)
 
 
 def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
@@ -65,7 +64,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        least = MAX_BACKGROUND_DEPTH_RMS if data.background is not None else LIMITS.min_depth_rms
+        least = LIMITS.max_background_depth_rms if data.background is not None else LIMITS.min_depth_rms
         if chdtrc(df, -2 * level) * len(data.places) > LIMITS.max_shape_p_value or depth < least:
             continue
         shaped.add(i)

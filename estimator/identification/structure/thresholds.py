@@ -121,5 +121,19 @@ class Thresholds:
     stable_frequency_rel: float = 0.01  # from one number of modes to the next
     stable_damping_rel: float = 0.2  # from one number of modes to the next
 
+    # background_search
+    # of a mode or of more knots: 3 parameters at 1 of some 1e3 distinct frequencies, p = 1e-6
+    min_gain_nats: float = 20.0
+
+    # excitation
+    taper_count: int = 2  # sine tapers of a piece (Riedel and Sidorenko, IEEE Trans. Signal Process. 43, 1995, 188)
+    taper_efficiency: float = 0.8  # degrees of freedom of the average, per bin over 2: 2 k / (2 k + 1) of k tapers
+
+    # rig_spectra
+    max_work_derivatives: float = 1e9  # of all rigs on trial together: about 25 s of a core of 2020
+
+    # spectral_shape
+    max_background_depth_rms: float = 0.23  # of what a background leaves, 1 dB: instruments have +-10 % (ISO 2954)
+
 
 LIMITS = Thresholds()

@@ -12,6 +12,7 @@ from estimator.errors import NotFiniteError
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
+from estimator.likelihood.thresholds import LIMITS
 from estimator.likelihood.whitening.whitening import WhitenedRegressors
 from estimator.model.effect import EffectParameter
 
@@ -20,8 +21,6 @@ from .subproblem import Subproblem, subproblem
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(TIME_FOLDS)
-OPTIONAL_COST_NATS = 1.5  # what an idle parameter gains held in and loses held out
-MIN_OWN_VALUES_GAIN_NATS = 2.0  # by searched parameters of one location alone; about the price of a parameter
 
 
 def whitened_law(point: WorkingPoint, placed: LocatedLaw) -> WhitenedRegressors | None:
@@ -107,4 +106,4 @@ def fitted_gain(
 
 def _is_needed(q: EffectParameter, value: float, sd: float) -> bool:
     """Whether an amplitude is within its limits, and gains more than it costs where the law can do without it."""
-    return q.low <= value <= q.high and (q.share > 0.0 or value**2 > 2.0 * OPTIONAL_COST_NATS * sd**2)
+    return q.low <= value <= q.high and (q.share > 0.0 or value**2 > 2.0 * LIMITS.optional_cost_nats * sd**2)

@@ -17,8 +17,6 @@ from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressor
 from .path_fit import Gram, PathFit, fit_increments, log_likelihood
 from .working_point import WorkingPoint
 
-IMPOSSIBLE_NATS = 1e6  # lost on a fold that a fit calls impossible, as where a mode is unstable
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subproblem:
@@ -191,5 +189,5 @@ def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
         here = np.array([f])
         there = plain.likelihood(plain.fit(rest), here)
         gain = problem.likelihood(problem.fit(rest, ridge), here) - there if np.isfinite(there) else 0.0
-        out[f] = max(gain, -IMPOSSIBLE_NATS)
+        out[f] = max(gain, -LIMITS.impossible_nats)
     return out

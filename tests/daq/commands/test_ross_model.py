@@ -17,7 +17,7 @@ from daq.rig.rig import Rig
 
 REPOSITORY_ROOT = Path(__file__).parents[3]
 CONFIGS_FOLDER = REPOSITORY_ROOT / "configs"
-STAND_IN = '''
+STAND_IN = """
 import numpy as np
 
 class Element:
@@ -49,7 +49,7 @@ class Rotor:
 
     def G(self):
         return np.zeros((12, 12))
-'''
+"""
 
 
 def test_the_matrices_and_the_table_for_the_rig_file(

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from reference_rig import rig_model
 
-from estimator.identification.rolling.background import MAX_CORE_SHARE, BackgroundSearch, FoundBackground, Search
+from estimator.identification.rolling.background import BackgroundSearch, FoundBackground, Search
 from estimator.identification.rolling.start import FirstFit
+from estimator.identification.rolling.thresholds import LIMITS
 from estimator.identification.structure.cross_spectra import SearchTooLongError
 
 RATE_HZ, BLOCK, HOUR_S = 8192.0, 2048, 3600.0
@@ -52,7 +53,7 @@ def test_searches_that_are_given_up_take_no_more_than_their_share_of_a_core() ->
 
     at = begun_s(endless)
     spent = np.cumsum(limits)
-    assert np.all(spent <= MAX_CORE_SHARE * np.array(at))
+    assert np.all(spent <= LIMITS.max_core_share * np.array(at))
     assert len(at) < 15
 
 

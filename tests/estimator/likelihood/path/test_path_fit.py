@@ -34,7 +34,6 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
         tangents=tangents,
         scales=np.ones(2),
         names=("a", "b"),
-        units=("N", "N"),
     )
     blocks = np.full(TIME_FOLDS, 1000.0 / bins)
     free = fit_increments(gram, Jacobian(A0), np.arange(TIME_FOLDS), blocks, steps=6)

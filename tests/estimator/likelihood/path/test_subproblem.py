@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator.likelihood.path.subproblem import IMPOSSIBLE_NATS, heldout_gain
+from estimator.likelihood.path.subproblem import heldout_gain
+from estimator.likelihood.thresholds import LIMITS
 
 
 def problem(by_fold: list[float], plain: list[float]) -> Any:
@@ -24,4 +25,4 @@ def problem(by_fold: list[float], plain: list[float]) -> Any:
 def test_a_fold_that_is_impossible_is_a_finite_loss() -> None:
     """The standard error of the gains was no number, with a warning of numpy."""
     gains = heldout_gain(problem([-np.inf, 4.0, 4.0, 4.0, 4.0, 4.0], [1.0, 1.0, 1.0, 1.0, 1.0, -np.inf]))
-    assert gains.tolist() == [-IMPOSSIBLE_NATS, 3.0, 3.0, 3.0, 3.0, 0.0]
+    assert gains.tolist() == [-LIMITS.impossible_nats, 3.0, 3.0, 3.0, 3.0, 0.0]
