@@ -11,6 +11,7 @@ from estimator.arrays import Array, return_freed_memory
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
+from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
@@ -42,7 +43,7 @@ class BearingSurvey:
     def explained(self) -> bool:
         """Whether nothing missing is found: no force, or a negligible one, or one that may be zero."""
         value, low, _ = self.missing.interval()
-        least = 100 * missing_force.NEGLIGIBLE_FORCE_SHARE
+        least = 100 * RESIDUAL_LIMITS.negligible_force_share
         return not self.missing.any_found() or value < least or low <= 0.0
 
     @cached_property

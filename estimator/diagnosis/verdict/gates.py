@@ -17,7 +17,7 @@ from estimator.diagnosis.hypotheses import gate_amplitude
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.identification.residual import missing_force
+from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -69,7 +69,7 @@ def significant(entry: Entry, context: Context) -> GateResult:
 
 def large_enough(entry: Entry, context: Context) -> GateResult:
     """The force is larger than the errors of a simulation or a filter."""
-    least = 100 * missing_force.NEGLIGIBLE_FORCE_SHARE
+    least = 100 * RESIDUAL_LIMITS.negligible_force_share
     force, text = entry.explained_percent, "force, % of the bearing force"
     return GateResult(gate="large enough", passed=force >= least, measured=force, limit=least, text=text)
 

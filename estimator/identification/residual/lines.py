@@ -33,7 +33,6 @@ from estimator.signals.channel_response import corrected_record
 from estimator.signals.line_spectrum import LineSpectrum, line_spectrum, order_spectrum, residual_spectrum
 
 from . import harmonic_fit, impact_train
-from .missing_force import NEGLIGIBLE_FORCE_SHARE
 from .thresholds import LIMITS
 
 
@@ -177,7 +176,7 @@ def _line_finding(
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
     if point.data.measured_force:
-        power = {i: w for i, w in power.items() if w > (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2}
+        power = {i: w for i, w in power.items() if w > (LIMITS.negligible_force_share * point.bearing_force[i]) ** 2}
         Z[[i for i in range(P) if i not in power]] = 0.0
         if not power:
             return None

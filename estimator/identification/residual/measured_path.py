@@ -30,7 +30,6 @@ from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, fault_response, measured_force_places
 
-from .missing_force import NEGLIGIBLE_FORCE_SHARE
 from .thresholds import LIMITS
 
 
@@ -175,7 +174,7 @@ def find_path_faults(model: Model, point: WorkingPoint, lines: Collection[float]
 def _place_findings(model: Model, point: WorkingPoint, i: int, r: MeasuredPath) -> list[Finding]:
     """Findings at place i: the faults that explain the error of the path, or an unknown one."""
     place, base = point.data.places[i], fit_path(r)
-    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
+    least = (LIMITS.negligible_force_share * point.bearing_force[i]) ** 2
     power, z = r.coherent(base.left)
     if power < least or z < LIMITS.min_bias_sd:
         return []

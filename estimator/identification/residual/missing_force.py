@@ -31,8 +31,6 @@ from . import black_box
 from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_ridge, group_p_value, hidden_power
 from .thresholds import LIMITS
 
-NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundGroup:
@@ -152,7 +150,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
 
 def _negligible_power(point: WorkingPoint, i: int) -> float:
     """Mean square, N^2, of a force at location i that errors of the processing, or of a background, may be."""
-    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
+    least = (LIMITS.negligible_force_share * point.bearing_force[i]) ** 2
     if point.data.background is None:
         return float(least)
     width_hz = point.data.bins.size * point.data.rate_hz / point.data.block

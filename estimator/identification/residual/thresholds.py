@@ -76,6 +76,7 @@ class Thresholds:
     max_group_p_value: float = 1e-3  # of a group at a location, after correction for the groups and locations tried
     survey_s: float = 24.0  # of a long record: enough to see a thousandth of the bearing force
     survey_rows: int = 600_000  # at least, of a record at a low rate
+    negligible_force_share: float = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
     # of the rms excitation: no background is known so well as to tell less from it
     negligible_excitation_share: float = 0.02
 

@@ -88,7 +88,7 @@ def test_a_complete_model_has_no_suspect(seed: int) -> None:
 
 def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The steps of a simulation make one of 0.04 %, which beside much damping is a force worth a name."""
-    monkeypatch.setattr(measured_path, "NEGLIGIBLE_FORCE_SHARE", 1e-4)
+    monkeypatch.setattr(measured_path, "LIMITS", replace(measured_path.LIMITS, negligible_force_share=1e-4))
     for error, claimed in ((1.5e-3, False), (3e-3, True)):
         y = record(seed=3, sensor=heard("sensor_gain", error))
         found = search(RIG, fit_all_effects(RIG, y, RATE).point, y)
