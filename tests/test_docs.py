@@ -17,7 +17,7 @@ SOURCE = re.compile(r"`((?:estimator|daq|drivers|tests|configs)/[\w/.<>*-]*)`")
 LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
 DEVELOPERS = ("ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
 NAMES_A_SOURCE_FILE = re.compile(r"`?\b(?:estimator|daq|drivers)/[\w/]+\.py\b|(?<!\])\([a-z_]+\.py\)")
-REVISION = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7}\b")
+REVISION = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,8}\b")
 ARCHITECTURE_LINES = 120
 RIG = ROOT / "tests" / "data" / "one_cap.toml"
 
