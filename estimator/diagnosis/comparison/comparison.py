@@ -159,7 +159,7 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
         messages=(
             *usable.messages,
             *whole.messages,
-            *((survey.inconclusive,) if survey.explained and survey.inconclusive is not None else ()),
+            *(() if survey.inconclusive is None else (survey.inconclusive,)),
             *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
     )

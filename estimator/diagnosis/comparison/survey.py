@@ -48,12 +48,15 @@ class BearingSurvey:
 
     @cached_property
     def inconclusive(self) -> Message | None:
-        """Why a missing force could hide where none is found; None where the record would show it.
+        """Why a missing force could hide where none is found; None where one is found, or the record would show it.
 
         Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
         the bearing open, and in a short record.
         """
-        loose = [p for p in self.part.data.places if not fitted_parameters(self.part)[f"{p}.kL"].identifiable]
+        if not self.explained:
+            return None
+        fitted = fitted_parameters(self.part)
+        loose = [place for place in self.part.data.places if not fitted[f"{place}.kL"].identifiable]
         hidden = self.missing.interval()[2]
         if loose:
             text = f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"

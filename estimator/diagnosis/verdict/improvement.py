@@ -161,7 +161,7 @@ def improvement(
         step = len(diagnoses)
         whole = ladder.whole
         untried = refused | (CAUSES_OF_SPECTRUM if whole.model.background is not None else frozenset())
-        if len(ladder.rungs) > 1 and ladder.survey.adequate:  # no shaft is blamed beside laws that explain all
+        if len(ladder.rungs) > 1 and ladder.survey.explained:  # no shaft is blamed beside laws that explain all
             untried |= {RIG_FILE}
         found = diagnose(whole.model, whole.point, y, _second_half(say, step / (step + 1.0)), untried, ladder.survey)
         named = found.verdict not in VERDICTS_WITHOUT_EFFECT
@@ -204,7 +204,8 @@ def _last_verdict(found: BearingJudgement, survey: BearingSurvey) -> BearingJudg
     """The diagnosis that ends an improvement: an effect that was refused is no verdict."""
     if found.verdict in VERDICTS_WITHOUT_EFFECT:
         return found
-    return replace(found, verdict="complete" if survey.adequate else "unknown", messages=())
+    doubt = () if survey.inconclusive is None else (survey.inconclusive,)
+    return replace(found, verdict="complete" if survey.adequate else "unknown", messages=doubt)
 
 
 def _second_half(say: Progress, start: float) -> Progress:

@@ -25,7 +25,7 @@ from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import Effect
 from estimator.model.rig import BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting
-from estimator.results import Parameter
+from estimator.results import NOT_CONCLUSIVE, Parameter
 from estimator.simulation.simulator import simulate
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached
@@ -200,6 +200,28 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model)
     for name in colour:
         found, best = (p[f"bearing1.x.coloured_excitation.{name}"] for p in (ladder.parameters, alone))
         assert abs(found.value - best.value) < 0.5 * best.sd, (found, best)
+
+
+def test_laws_that_explain_a_short_record_end_with_what_could_hide_and_no_shaft_is_blamed() -> None:
+    """An effect that is refused is no verdict, and 0.7 s of a well damped cap show no effect of 4 %."""
+    cap = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(283.0), "S": Setting(1e-4)}}
+    rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    cubic = CATALOGUE["cubic"]
+    own = strengths(cubic, size(rig, "bearing1.x", RATE), 0.15, rig)
+    y = simulate(with_effect(rig, cubic, own, "bearing1.x"), RATE, 0.7, seed=1, noise=0.0)
+    law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), free=(True,))
+    named = Entry("cubic", ("bearing1",), 9.0, 8.0, p_value=1e-4, before_percent=15.0, after_percent=0.0,
+                  parameters={}, score=7.0, placed=(law,))  # fmt: skip
+    other = replace(named, effect="quintic")
+    said = iter([BearingJudgement("cubic", (named,)), BearingJudgement("quintic", (other,))])
+    refused: list[frozenset[str]] = []
+    ladder = improvement(
+        rig, y, RATE, diagnose=lambda *asked: (refused.append(asked[4]), next(said))[1], refused=frozenset({"quintic"})
+    )
+    assert [rung.effects for rung in ladder.rungs] == [(), ("cubic",)]
+    assert ["rig_file" in names for names in refused] == [False, True]
+    assert ladder.last.verdict == "unknown"
+    assert [m.code for m in ladder.last.messages] == [NOT_CONCLUSIVE]
 
 
 def test_strikes_and_a_large_tone_of_the_shaft_are_added_as_diagnose_names_them() -> None:
