@@ -15,22 +15,19 @@ from pathlib import Path
 
 import pytest
 from cable import Cable
-from mounts import in_namespace
+from mounts import in_namespace, light_rig
 
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
 
 pytestmark = [pytest.mark.root, pytest.mark.timeout(600)]
-RIG = Path(__file__).parents[3] / "configs" / "tiwari_vyas_1997.toml"
 ROTORSCOPE = f"{shlex.quote(sys.executable)} -m daq"
 Row = Callable[[str, object], None]
 
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
-    path = tmp_path / "rig.toml"
-    path.write_text(RIG.read_text().replace('method = "spectral"', 'method = "score-matching"'))
-    return path
+    return light_rig(tmp_path)
 
 
 @contextmanager

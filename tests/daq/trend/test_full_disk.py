@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mounts import in_namespace
+from mounts import in_namespace, light_rig
 
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
@@ -17,7 +17,6 @@ from daq.trend.folder import beginning
 from daq.trend.names import segments
 
 pytestmark = [pytest.mark.root, pytest.mark.timeout(600)]
-RIG = Path(__file__).parents[3] / "configs" / "tiwari_vyas_1997.toml"
 ROTORSCOPE = f"{shlex.quote(sys.executable)} -m daq"
 SEGMENT_COUNT_BEFORE = 4
 UNTIL_SEGMENTS = f"until [ $(ls disk/press/*.mcap 2>/dev/null | wc -l) -ge {SEGMENT_COUNT_BEFORE} ]; do sleep 0.1; done"
@@ -27,9 +26,7 @@ Row = Callable[[str, object], None]
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
-    path = tmp_path / "rig.toml"
-    path.write_text(RIG.read_text().replace('method = "spectral"', 'method = "score-matching"'))
-    return path
+    return light_rig(tmp_path)
 
 
 def test_another_program_fills_the_disk_and_the_oldest_segments_make_room(
