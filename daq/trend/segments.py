@@ -133,7 +133,7 @@ class SegmentedLog:
         self._chores.close(CLOSE_S if self._live else None)
 
     def _disk_is_full(self, state: _State) -> bool:
-        """Or faulty: no segment can be opened, or the one that is written waits for room."""
+        """Whether the disk is full or faulty: no segment can be opened, or the one that is written waits for room."""
         return state.lost is not None if self._part is None else self._part.writer.faulty
 
     # -- where a segment begins and ends ----------------------------------------------------------------------------

@@ -103,7 +103,7 @@ class MappedDecoder:
         if self._open is not None and len(self._open) and not self.learned:
             return "too few have come to know their rate"
         if self._axis.rate_hz is not None and self._axis.held:
-            return "they were held up and come all at once; samples follow when it is clear whether some are missing"
+            return "the frames were held up and come at once; samples follow when it is clear whether any is missing"
         return nothing_matched(self.plan, dict(self._seen))
 
     def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:
