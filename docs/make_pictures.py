@@ -1,10 +1,11 @@
-"""Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [log] [comparison] [report]`.
+"""Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [log] [foxglove] [comparison]
+[report]`.
 
 rerun.png : the live view, of a session run through the real chain (simulated device, CAN FD frames on a virtual bus,
 core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. log.png :
-a log as Rerun shows it by itself. comparison.png and
-report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth,
-mesa-vulkan-drivers, libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
+a log as Rerun shows it by itself. foxglove.png : a log in Foxglove. comparison.png and report.png : made by
+`rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth, mesa-vulkan-drivers,
+libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2), chromium for report and Foxglove, npm for Foxglove.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SECONDS = 24.0
 
 
 def main(wanted: list[str]) -> int:
-    makers = {"rerun": rerun, "log": log, "comparison": comparison, "report": report}
+    makers = {"rerun": rerun, "log": log, "foxglove": foxglove, "comparison": comparison, "report": report}
     unknown = [name for name in wanted if name not in makers]
     if unknown:
         sys.stderr.write(f"no picture {', '.join(unknown)}; there are {', '.join(makers)}\n")
@@ -68,10 +69,14 @@ def report(folder: Path) -> Path:
     """The top of the demo's report page."""
     page = demo(folder, ".html", "")
     out = DOCS / "report.png"
-    browser = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
-    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-    run([*command, "--window-size=1150,1530", f"--screenshot={out}", page.as_uri()])
+    run([*browser(), "--window-size=1150,1530", f"--screenshot={out}", page.as_uri()])
     return out
+
+
+def browser() -> list[str]:
+    found = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-background-networking"]
+    return [found, *options]
 
 
 def demo(folder: Path, ending: str, word: str) -> Path:
@@ -90,10 +95,20 @@ def log(folder: Path) -> Path:
     return screenshot(file, DOCS / "log.png")
 
 
+def foxglove(folder: Path) -> Path:
+    """The log of a session in Foxglove."""
+    from make_foxglove import picture
+
+    file = folder / "live.mcap"
+    given = [str(RIG), "--link", "virtual:", "--seconds", "15", "--out", str(file), "--quiet"]
+    run([sys.executable, "-m", "daq", "run", *given])
+    out = picture(file, folder / "foxglove", browser(), DOCS / "foxglove.png")
+    smaller(out)
+    return out
+
+
 def screenshot(recording: Path, out: Path) -> Path:
     """A picture of a recording in Rerun's own viewer, on a screen in memory."""
-    from PIL import Image
-
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise SystemExit("rerun-sdk is not installed")
@@ -102,9 +117,16 @@ def screenshot(recording: Path, out: Path) -> Path:
     screen = ["xvfb-run", "-a", "-s", f"-screen 0 {3 * width}x{3 * height}x24"]  # the pointer stays outside the window
     options = ["--renderer=vulkan", "--window-size", f"{width}x{height}", "--bind", "127.0.0.1", "--port", "auto"]
     run([*screen, str(viewer), *options, "--screenshot-to", str(out), str(recording)])
+    smaller(out)
+    return out
+
+
+def smaller(out: Path) -> None:
+    """The same picture in 255 colours."""
+    from PIL import Image
+
     with Image.open(out) as picture:
         picture.convert("RGB").quantize(255, dither=Image.Dither.NONE).save(out, optimize=True)
-    return out
 
 
 def run(command: list[str]) -> None:

@@ -236,15 +236,40 @@ def decode_status(data: bytes) -> Status:
 
 def encode_estimates(parameters: Mapping[str, Parameter]) -> bytes:
     """The identifiable values by the parts of their names, as JSON: {"bearing1": {"x": {"kL": 1e7}}}."""
+    values = {name: p.value for name, p in parameters.items() if p.value is not None and p.identifiable}
+    return json.dumps(_by_parts(values)).encode()
+
+
+def estimates_schema(parameters: Mapping[str, Parameter]) -> bytes:
+    """JSON schema of that map, of all parameters: Foxglove takes no topic without one, and offers the names in it."""
+    return json.dumps(_json_schema(_by_parts({name: p.unit for name, p in parameters.items()}))).encode()
+
+
+def estimates_schema_of(message: bytes) -> bytes:
+    """The same of a map as it was written: of what is in it."""
+    try:
+        return json.dumps(_json_schema(json.loads(message))).encode()
+    except (ValueError, AttributeError):  # not ours
+        return json.dumps(_json_schema({})).encode()
+
+
+def _by_parts(values: Mapping[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    for name, p in parameters.items():
-        if p.value is not None and p.identifiable:
-            at = out
-            *path, last = text(name).split(".")
-            for part in path:
-                at = at.setdefault(part, {})
-            at[last] = p.value
-    return json.dumps(out).encode()
+    for name, value in values.items():
+        at = out
+        *path, last = text(name).split(".")
+        for part in path:
+            at = at.setdefault(part, {})
+        at[last] = value
+    return out
+
+
+def _json_schema(values: Mapping[str, Any]) -> dict[str, Any]:
+    properties: dict[str, Any] = {}
+    for name, value in values.items():
+        unit = {"description": value} if isinstance(value, str) else {}
+        properties[name] = _json_schema(value) if isinstance(value, dict) else {"type": "number", **unit}
+    return {"type": "object", "properties": properties}
 
 
 def encode_multi_array(values: NDArray[np.float64]) -> bytes:

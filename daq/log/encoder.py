@@ -132,7 +132,8 @@ class LogEncoder:
         self._add(codec.ESTIMATE_CHANNEL, self._last_ns, codec.encode_estimate(estimate))
         if estimate.parameters:
             values = codec.encode_estimates(estimate.parameters)
-            self._add(self._viewer_id(codec.ESTIMATES_TOPIC), self._last_ns, values)
+            topic = self._viewer_id(codec.ESTIMATES_TOPIC, schema=codec.estimates_schema(estimate.parameters))
+            self._add(topic, self._last_ns, values)
 
     def status(self, status: Status) -> None:
         if self._about is not None:
@@ -150,7 +151,8 @@ class LogEncoder:
 
     def raw_viewer_message(self, name: str, log_time: int, publish_time: int, data: bytes) -> None:
         """A message of a topic for viewers as it was in another log: for `recover`."""
-        self._add(self._viewer_id(name, self._units.get(name, "")), log_time, data, publish_time)
+        schema = codec.estimates_schema_of(data) if name == codec.ESTIMATES_TOPIC else b""
+        self._add(self._viewer_id(name, self._units.get(name, ""), schema), log_time, data, publish_time)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         self._mcap.add_attachment(0, 0, codec.text(name), media_type, data)
@@ -182,17 +184,17 @@ class LogEncoder:
             schema = self._mcap.register_schema(topic.schema, "protobuf", descriptor_set(topic.schema))
         return int(self._mcap.register_channel(topic.name, topic.encoding, schema))
 
-    def _viewer_id(self, name: str, unit: str = "") -> int:
+    def _viewer_id(self, name: str, unit: str = "", schema: bytes = b"") -> int:
         """Number of a topic for viewers, for `_put`; registered when it is first seen."""
         if name not in self._viewer_ids:
             if name == codec.ESTIMATES_TOPIC:
                 encoding, about = "json", dict[str, str]()
-                schema = self._mcap.register_schema(codec.ESTIMATES_SCHEMA, "jsonschema", b'{"type": "object"}')
+                number = self._mcap.register_schema(codec.ESTIMATES_SCHEMA, "jsonschema", schema)
             else:
                 encoding, about, known = "cdr", {"unit": codec.text(unit)}, codec.LOG_TOPICS[codec.PREVIEW_CHANNEL - 1]
-                schema = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
+                number = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
             self._viewer_ids[name] = len(self._ids)
-            self._ids.append(self._mcap.register_channel(codec.text(name), encoding, schema, about))
+            self._ids.append(self._mcap.register_channel(codec.text(name), encoding, number, about))
         return self._viewer_ids[name]
 
     def _introduce(self) -> None:

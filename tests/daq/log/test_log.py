@@ -16,6 +16,7 @@ from sessions import CHANNELS, DBC_TEXT, RIG_TEXT, make_block, make_info, make_s
 
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import ClockState
+from daq.commands.cli.app import main
 from daq.exchange.measurement import measure
 from daq.log import codec as codec
 from daq.log.reader import read_log
@@ -132,6 +133,25 @@ def test_other_tools_read_it(tmp_path: Path) -> None:
     assert "/estimates" in topics
     assert sum(m.rows for m in topics["/raw"]) == sum(len(r.counts) for r in stream if isinstance(r, Block))  # type: ignore[attr-defined]
     assert topics["/log"][0].message == "a frame was damaged"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("recovered", [False, True])
+def test_the_schema_of_the_estimates_names_every_number(recovered: bool, tmp_path: Path) -> None:
+    """Foxglove takes no JSON topic whose schema has no properties, and offers these names in a plot."""
+    path = tmp_path / "a.mcap"
+    write_log(path, make_stream(80))
+    if recovered:
+        path = tmp_path / "b.mcap"
+        assert main(["recover", str(tmp_path / "a.mcap"), "--out", str(path), "--quiet"]) == 0
+    with path.open("rb") as file:
+        found = [(s, json.loads(m.data)) for s, _, m in make_reader(file).iter_messages(topics=["/estimates"]) if s]
+    assert found
+    for schema, values in found:
+        about = json.loads(schema.data)
+        for part in ("bearing1", "x"):
+            about, values = about["properties"][part], values[part]
+        assert set(values) <= set(about["properties"])
+        assert all(kind["type"] == "number" for kind in about["properties"].values())
 
 
 def test_rerun_plots_preview_and_notices_with_no_help(tmp_path: Path) -> None:
