@@ -64,7 +64,7 @@ def severity_document(rig: Rig, survey: RecordSurvey, levels: Mapping[str, Chann
         "schema": 1,
         "channels": channels,
         "zone": max((c["zone"] for c in channels.values() if c["zone"]), default=None),
-        "iso20816": None if own is None else {"part": 3, "group": own.group, "support": own.support},
+        "iso20816": None if own is None else own.to_json(),
         "findings": [finding.to_json() for finding in survey.findings],
     }
 

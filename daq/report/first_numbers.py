@@ -74,7 +74,13 @@ def zone_line(channels: Json, machine: Json | None) -> str:
         return ""
     worst = max(zones.values())
     where = ", ".join(name for name, zone in zones.items() if zone == worst)
-    return (
-        f"zone {worst} of ISO 20816-3 (group {machine['group']}, {machine['support']} support) at {where}: "
-        f"{ZONE_TEXT[worst]}"
-    )
+    return f"zone {worst} of {machine_words(machine)} at {where}: {ZONE_TEXT[worst]}"
+
+
+def machine_words(machine: Json) -> str:
+    """The standard, and the kind of machine."""
+    if machine["part"] == 1:
+        return f"ISO 10816-1 (class {machine['size']})"
+    if machine["part"] == 7:
+        return f"ISO 10816-7 (pump of category {machine['category']}, {machine['power_kw']:g} kW)"
+    return f"ISO 20816-3 (group {machine['group']}, {machine['support']} support)"

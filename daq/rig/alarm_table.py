@@ -111,7 +111,8 @@ def alarm_problems(
             text = f'"{alarm.what}" is nothing that is measured: a parameter begins with {", ".join(places)}'
             problems.append(Problem(path, f"{text}; else {did_you_mean(name.partition('.')[0], first, 'there are')}"))
         if isinstance(alarm.limit, str) and not classed:
-            text = "a zone needs [machine] iso20816 = { part = 3, group, support }; add it, or give a number in mm/s"
+            example = 'iso20816 = { part = 3, group = 2, support = "rigid" }'
+            text = f"a zone needs [machine] {example}; add it, or give a number in mm/s"
             problems.append(Problem(("alarm", k, "limit"), text))
         if alarm.what in [other.what for other in alarms[:k] if (other.limit is None) == (alarm.limit is None)]:
             problems.append(Problem(path, f'"{alarm.what}" is watched so already; remove one'))

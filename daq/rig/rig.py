@@ -362,4 +362,4 @@ def _anti_alias(table: AcquisitionTable | None) -> AntiAlias | None:
 
 def _machine_class(table: MachineTable) -> MachineClass | None:
     own = table.iso20816
-    return None if own is None else MachineClass(group=own.group, support=own.support)
+    return None if own is None else MachineClass(**own.model_dump())

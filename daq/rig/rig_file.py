@@ -13,6 +13,8 @@ from pydantic import (
     model_validator,
 )
 
+from estimator.model import KEYS_OF_ISO_PART
+
 from .alarm_table import AlarmTable
 from .rig_table import ByBearing, RigTable
 from .table import NotNegative, NumberOrTable, Positive, Table
@@ -103,22 +105,46 @@ class AcquisitionTable(Table):
 
 
 class Iso20816Table(Table):
-    """Class of the machine for the zones of ISO 20816-3 (15 kW and more, 120 to 30 000 rpm, bearing housings).
+    """Class of the machine for the zones of its vibration on bearing housings.
 
-    group : 1 is above 300 kW or a shaft height from 315 mm, 2 is 15 to 300 kW. support : rigid if the lowest natural
-    frequency of machine and support is at least 25 % above the speed.
+    Part 3 (ISO 20816-3, 15 kW and more, 120 to 30 000 rpm) needs group and support, part 7 (ISO 10816-7, pumps)
+    category and power_kw, part 1 (the classes of ISO 10816-1) size.
     """
 
-    part: int
-    group: Literal[1, 2]
-    support: Literal["rigid", "flexible"]
+    part: int = Field(description="`1`, `3` or `7`")
+    group: Literal[1, 2] | None = Field(
+        default=None, description="part 3: 1 is above 300 kW or a shaft height from 315 mm, 2 is 15 to 300 kW"
+    )
+    support: Literal["rigid", "flexible"] | None = Field(
+        default=None, description="part 3: rigid if the lowest natural frequency is at least 25 % above the speed"
+    )
+    category: Literal[1, 2] | None = Field(
+        default=None, description="part 7: 1 is pumps that must be reliable or safe, 2 is pumps for general use"
+    )
+    power_kw: Positive | None = Field(default=None, description="part 7: of the pump")
+    size: Literal["I", "II", "III", "IV"] | None = Field(
+        default=None,
+        description="part 1: I is to 15 kW, II to 75 kW (300 kW on a foundation of its own), III is large on a rigid, "
+        "IV large on a soft foundation",
+    )
 
     @field_validator("part")
     @classmethod
     def known_part(cls, value: int) -> int:
-        if value != 3:
-            raise ValueError(f"{value}: zones are known for part 3 alone; leave iso20816 out for numbers without zone")
+        if value not in KEYS_OF_ISO_PART:
+            known = "zones are known for parts 1, 3 and 7"
+            raise ValueError(f"{value}: {known}; leave iso20816 out for numbers without zone")
         return value
+
+    @model_validator(mode="after")
+    def what_the_part_needs(self) -> Iso20816Table:
+        needed = KEYS_OF_ISO_PART[self.part]
+        if missing := [name for name in needed if getattr(self, name) is None]:
+            raise ValueError(f"part {self.part} needs {' and '.join(missing)}")
+        if others := [n for keys in KEYS_OF_ISO_PART.values() for n in keys if n not in needed and getattr(self, n)]:
+            text = f"{', '.join(others)} is not of part {self.part}, which has {' and '.join(needed)}"
+            raise ValueError(f"{text}; remove it")
+        return self
 
 
 class MachineTable(Table):

@@ -169,12 +169,12 @@ class TrendStore:
 
 
 def zone_rows(machine: MachineClass | None, time_ns: int) -> Iterator[Row]:
-    """The velocities at which the zones B, C and D of ISO 20816-3 begin, mm/s rms; nothing of an unknown machine."""
+    """The velocities at which the zones B, C and D of its standard begin, mm/s rms; nothing of an unknown machine."""
     if machine is None:
         return
-    from estimator.identification.record import ISO_20816_3_LIMITS
+    from estimator.identification.record import zone_limits
 
-    for zone, limit in zip("BCD", ISO_20816_3_LIMITS[machine.group, machine.support][0], strict=True):
+    for zone, limit in zip("BCD", zone_limits(machine).velocity_mm_s, strict=True):
         yield Row(time_ns, "zone_limit", zone, limit, unit="mm/s")
 
 

@@ -6,6 +6,7 @@ from .recorder import AntiAlias
 from .rig import (
     BEARING_NODES,
     CAP_DIRECTIONS,
+    KEYS_OF_ISO_PART,
     LINEAR_UNITS,
     MOTION_UNITS,
     BearingGeometry,
@@ -30,6 +31,7 @@ __all__ = [
     "Effect",
     "EffectParameter",
     "EffectUse",
+    "KEYS_OF_ISO_PART",
     "LineBand",
     "MOTION_UNITS",
     "MachineClass",

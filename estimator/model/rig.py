@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
+
+from estimator.errors import ModelError
 
 from .background import Background
 from .effect import Effect
@@ -22,6 +24,10 @@ BEARING_NODES = ("bearing1", "bearing2")  # names of bearings that have no other
 CAP_DIRECTIONS = ("x", "y")
 LINEAR_UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
 MOTION_UNITS = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # by kind
+# part of ISO 20816 -> what tells the kinds of its machines apart
+KEYS_OF_ISO_PART: Mapping[int, tuple[str, ...]] = MappingProxyType(
+    {1: ("size",), 3: ("group", "support"), 7: ("category", "power_kw")}
+)
 NO_SETTINGS: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
 
 
@@ -101,18 +107,46 @@ class BearingGeometry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineClass:
-    """Class of a machine for the zones of ISO 20816-3: above 15 kW, 120 to 30 000 rpm, measured in place.
+    """Class of a machine for the zones of its vibration, measured in place on bearing housings.
 
     Parameters
     ----------
-    group : {1, 2}
-        1: above 300 kW or shaft height from 315 mm; 2: 15 to 300 kW, shaft height 160 to 315 mm.
-    support : {"rigid", "flexible"}
-        Rigid: the lowest natural frequency of machine and support is at least 25 % above the speed.
+    part : {1, 3, 7}
+        3: ISO 20816-3, industrial machines above 15 kW, 120 to 30 000 rpm. 7: ISO 10816-7, rotodynamic pumps above
+        1 kW. 1: the classes of ISO 10816-1:1995, which its successor gives no more.
+    group : {1, 2} or None
+        Of part 3. 1: above 300 kW or shaft height from 315 mm; 2: 15 to 300 kW, shaft height 160 to 315 mm.
+    support : {"rigid", "flexible"} or None
+        Of part 3. Rigid: the lowest natural frequency of machine and support is at least 25 % above the speed.
+    category : {1, 2} or None
+        Of part 7. 1: pumps that must be reliable or safe; 2: pumps for general use.
+    power_kw : float or None
+        Of part 7.
+    size : {"I", "II", "III", "IV"} or None
+        Of part 1. I: to 15 kW; II: 15 to 75 kW, or to 300 kW on a foundation of its own; III: large, on a rigid
+        foundation; IV: large, on a soft one.
+
+    Raises
+    ------
+    ModelError
+        What the part needs is missing.
     """
 
-    group: Literal[1, 2]
-    support: Literal["rigid", "flexible"]
+    part: Literal[1, 3, 7] = 3
+    group: Literal[1, 2] | None = None
+    support: Literal["rigid", "flexible"] | None = None
+    category: Literal[1, 2] | None = None
+    power_kw: float | None = None
+    size: Literal["I", "II", "III", "IV"] | None = None
+
+    def __post_init__(self) -> None:
+        """What the part needs must be there."""
+        if missing := [name for name in KEYS_OF_ISO_PART[self.part] if getattr(self, name) is None]:
+            raise ModelError(f"a machine of part {self.part} needs {' and '.join(missing)}")
+
+    def to_json(self) -> dict[str, Any]:
+        """The part, and what it needs."""
+        return {name: getattr(self, name) for name in ("part", *KEYS_OF_ISO_PART[self.part])}
 
 
 @dataclass(frozen=True, slots=True)

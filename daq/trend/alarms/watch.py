@@ -199,10 +199,10 @@ def make_rule(table: AlarmTable, rig: Rig) -> Rule:
         return StrikesRule(table, WINDOW_S)
     limit = table.limit
     if isinstance(limit, str):
-        from estimator.identification.record import ISO_20816_3_LIMITS
+        from estimator.identification.record import zone_limits
 
         machine = rig.model.iso20816
-        known = None if machine is None else ISO_20816_3_LIMITS[machine.group, machine.support][0]
+        known = None if machine is None else zone_limits(machine).velocity_mm_s
         limit = float("inf") if known is None else known["BCD".index(limit)]
     return LimitRule(table, limit)
 

@@ -3,19 +3,20 @@
 from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
-from .severity import ISO_20816_3_LIMITS, ChannelSeverity, iso_zone, severity
+from .severity import ChannelSeverity, severity
 from .spikes import spike_rows, surely_without_spikes
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
+from .zones import ZoneLimits, iso_zone, zone_limits
 
 __all__ = [
-    "ISO_20816_3_LIMITS",
     "CLIPPED_CODE",
     "ChannelSeverity",
     "ChannelSummary",
     "RecordFinding",
     "RecordSurvey",
     "UsableRecord",
+    "ZoneLimits",
     "clipping_level",
     "iso_zone",
     "level_parameter",
@@ -28,4 +29,5 @@ __all__ = [
     "survey_record",
     "usable_record",
     "without_spikes",
+    "zone_limits",
 ]

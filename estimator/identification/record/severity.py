@@ -1,4 +1,4 @@
-"""Severity of vibration by channel: levels in fixed bands, velocity and displacement, zone of ISO 20816-3.
+"""Severity of vibration by channel: levels in fixed bands, velocity and displacement, zone of ISO 20816.
 
 A number that the recorder, the sensor or the length of the record does not allow is None, with the reason.
 """
@@ -8,34 +8,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from estimator.arrays import Array, real_samples
-from estimator.model.rig import MOTION_UNITS, MachineClass, Model
+from estimator.model.rig import MOTION_UNITS, Model
 
 from .channel_summary import longest_stretch, moments, power_spectrum, summarise, usable_hz
 from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding, RecordSurvey
 from .survey import STILL_CODES, survey_record
 from .thresholds import RECORD_THRESHOLDS
 from .usable import without_spikes
+from .zones import Zone, iso_zone
 
-Zone = Literal["A", "B", "C", "D"]
 WRONG_VALUE_CODES = STILL_CODES | {"wrong_unit", "absurd_values"}  # findings that no number of the channel outlives
 SHAPE_NAMES = ("rms", "peak", "crest", "kurtosis")
 ALL_NAMES = (*SHAPE_NAMES, "velocity_rms_mm_s", "displacement_rms_um", "zone", "bands")
 HOUSING_TEXT = "a displacement channel: ISO 20816-3 judges the bearing housing; measure its acceleration or velocity"
-# ISO 20816-3:2022, annex A (the values of ISO 10816-3:2009): velocity mm/s rms and displacement um rms, 10 to 1000 Hz,
-# between zones A and B, B and C, C and D; by group of machines and support.
-ISO_20816_3_LIMITS: Mapping[tuple[int, str], tuple[tuple[float, ...], tuple[float, ...]]] = MappingProxyType(
-    {
-        (1, "rigid"): ((2.3, 4.5, 7.1), (29.0, 57.0, 90.0)),
-        (1, "flexible"): ((3.5, 7.1, 11.0), (45.0, 90.0, 140.0)),
-        (2, "rigid"): ((1.4, 2.8, 4.5), (22.0, 45.0, 71.0)),
-        (2, "flexible"): ((2.3, 4.5, 7.1), (37.0, 71.0, 113.0)),
-    }
-)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +58,7 @@ class ChannelSeverity:
     velocity_rms_mm_s, displacement_rms_um : float or None
         From 10 to 1000 Hz.
     zone : {"A", "B", "C", "D"} or None
-        Of ISO 20816-3, the worse one of velocity and displacement.
+        Of the standard of the machine, the worse one of velocity and displacement.
     bands : tuple of BandLevel
         Levels in fixed bands, as far as the record reaches.
     void : mapping of str to str
@@ -91,24 +81,6 @@ class ChannelSeverity:
         bands = [{"low_hz": b.low_hz, "high_hz": b.high_hz, "rms": b.rms} for b in self.bands]
         own = {name: getattr(self, name) for name in ALL_NAMES[:-1]}
         return {"unit": self.unit} | own | {"bands": bands, "void": dict(self.void)}
-
-
-def iso_zone(machine: MachineClass, velocity_mm_s: float, displacement_um: float = 0.0) -> Zone:
-    """Zone of ISO 20816-3: A of new machines, B for unlimited operation, C for a limited time, D damaging.
-
-    Parameters
-    ----------
-    machine : MachineClass
-        Group and support.
-    velocity_mm_s, displacement_um : float
-        Rms from 10 to 1000 Hz. The worse one decides.
-    """
-    limits = ISO_20816_3_LIMITS[machine.group, machine.support]
-    passed = max(
-        sum(value > limit for limit in own) for value, own in zip((velocity_mm_s, displacement_um), limits, strict=True)
-    )
-    zones: tuple[Zone, ...] = ("A", "B", "C", "D")
-    return zones[passed]
 
 
 def severity(
@@ -247,5 +219,5 @@ def _why_no_zone(model: Model) -> str:
     if model.iso20816 is None:
         return 'no machine class: add [machine] iso20816 = { part = 3, group = 2, support = "rigid" } to the rig file'
     if model.speed_rpm is not None and model.speed_rpm < RECORD_THRESHOLDS.min_iso_speed_rpm:
-        return f"at {model.speed_rpm:g} rpm ISO 20816-3 judges from 2 Hz on, and this velocity begins at 10 Hz"
+        return f"at {model.speed_rpm:g} rpm the standard judges from 2 Hz on, and this velocity begins at 10 Hz"
     return ""

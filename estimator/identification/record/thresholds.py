@@ -140,7 +140,8 @@ class Thresholds:
     # severity
     # shaft orders; ISO; defects; resonances of sensors
     band_edges_hz: tuple[float, ...] = (10.0, 100.0, 1000.0, 5000.0, 10000.0, 20000.0)
-    min_iso_speed_rpm: float = 600.0  # ISO 20816-3: below it the lower edge is 2 Hz
+    min_iso_speed_rpm: float = 600.0  # ISO 20816-3, ISO 10816-7: below it the lower edge is 2 Hz
+    max_small_pump_kw: float = 200.0  # ISO 10816-7: above it the zones are those of large pumps
 
     # spikes
     gaussian_mad: float = 0.6745  # median absolute deviation over the standard deviation of a Gaussian

@@ -103,9 +103,27 @@ def test_samples_at_full_scale_void_what_they_spoil(record: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
+    ("machine", "words"),
+    [
+        ("part = 7, category = 2, power_kw = 22.0", "ISO 10816-7 (pump of category 2, 22 kW)"),
+        ('part = 1, size = "II"', "ISO 10816-1 (class II)"),
+    ],
+)
+def test_pumps_and_the_old_classes_have_zones(
+    machine: str, words: str, record: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = record.with_name("rig.toml")
+    rig.write_text(RIG_TOML.replace('part = 3, group = 2, support = "rigid"', machine))
+    assert main(["severity", str(record), "--rig", str(rig)]) == 0
+    assert words in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
     ("was", "now", "words"),
     [
-        ("part = 3", "part = 7", "zones are known for part 3 alone"),
+        ("part = 3", "part = 2", "zones are known for parts 1, 3 and 7"),
+        ("part = 3", "part = 7", "part 7 needs category and power_kw"),
+        ("group = 2", 'size = "I", group = 2', "size is not of part 3, which has group and support"),
         ("group = 2", "group = 4", "machine.iso20816.group"),
         ('"rigid"', '"soft"', '"soft" is not one of rigid, flexible'),
         ("iso20816", "iso10816", "iso20816"),

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from estimator.arrays import Array
-from estimator.identification.record import ChannelSeverity, iso_zone, severity
+from estimator.errors import ModelError
+from estimator.identification.record import ChannelSeverity, iso_zone, severity, zone_limits
 from estimator.model import AntiAlias, MachineClass, Model
 from estimator.model.rig import Channel
 
@@ -76,6 +77,32 @@ def test_zones_change_at_the_published_values(group: int, support: str, limits: 
     machine = MachineClass(group=group, support=support)  # type: ignore[arg-type]
     for below, above, limit in zip("ABC", "BCD", limits, strict=True):
         assert (iso_zone(machine, 0.999 * limit), iso_zone(machine, 1.001 * limit)) == (below, above)
+
+
+# Part 7: public summary of DIN ISO 10816-7:2009, for pumps to 200 kW and above; part 1: the manual of a vibration meter
+# after ISO 2372 (Voltcraft VBM-100, page 15)
+@pytest.mark.parametrize(
+    ("machine", "limits"),
+    [
+        (MachineClass(part=7, category=1, power_kw=200.0), (2.5, 4.0, 6.6)),
+        (MachineClass(part=7, category=1, power_kw=201.0), (3.5, 5.0, 7.6)),
+        (MachineClass(part=7, category=2, power_kw=15.0), (3.2, 5.1, 8.5)),
+        (MachineClass(part=7, category=2, power_kw=900.0), (4.2, 6.1, 9.5)),
+        (MachineClass(part=1, size="I"), (0.71, 1.8, 4.5)),
+        (MachineClass(part=1, size="II"), (1.12, 2.8, 7.1)),
+        (MachineClass(part=1, size="III"), (1.8, 4.5, 11.2)),
+        (MachineClass(part=1, size="IV"), (2.8, 7.1, 18.0)),
+    ],
+)
+def test_zones_of_pumps_and_of_the_old_classes(machine: MachineClass, limits: tuple[float, ...]) -> None:
+    assert zone_limits(machine).velocity_mm_s == limits
+    for below, above, limit in zip("ABC", "BCD", limits, strict=True):
+        assert (iso_zone(machine, limit, 1e4), iso_zone(machine, 1.001 * limit, 1e4)) == (below, above)
+
+
+def test_a_class_without_what_its_part_needs_is_refused() -> None:
+    with pytest.raises(ModelError, match="part 7 needs power_kw"):
+        MachineClass(part=7, category=1)
 
 
 def test_the_worse_one_of_velocity_and_displacement_decides() -> None:
