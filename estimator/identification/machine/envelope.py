@@ -73,24 +73,27 @@ def envelope_spectra(
     spectra = _PieceSpectra(pieces)
     gain = _whitening(spectra, pieces)
     edges = list(_bands(pieces, highest_hz, bank))
-    sums = [np.zeros((2, min(int(highest_hz * pieces.seconds), b - a) + 1)) for a, b in edges]
+    power = [np.zeros(min(int(highest_hz * pieces.seconds), b - a) + 1) for a, b in edges]
+    band_power = [np.zeros(b - a, np.float32) for a, b in edges]
     first = 0
     for group in spectra:
         steps = _steps(pieces, range(first, first + len(group)), angle)
         first += len(group)
         white = irfft((group * gain).astype(np.complex64), pieces.size, axis=1)
         X: NDArray[Any] = rfft(_at_one_level(white, int(level_s * pieces.rate_hz)), axis=1)
-        for total, (a, b) in zip(sums, edges, strict=True):
-            total += _squared_envelope_power(X[:, a:b], total.shape[1], steps)
+        for lines, band, (a, b) in zip(power, band_power, edges, strict=True):
+            own_lines, own_band = _squared_envelope_power(X[:, a:b], lines.size, steps)
+            lines += own_lines
+            band += own_band
     return [
         EnvelopeSpectrum(
             band_hz=(a / pieces.seconds, b / pieces.seconds),
             seconds=pieces.seconds,
             count=len(pieces),
-            power=total[0] / len(pieces),
-            random=total[1] / len(pieces),
+            power=lines / len(pieces),
+            random=_random_power(band / len(pieces), lines.size),
         )
-        for total, (a, b) in zip(sums, edges, strict=True)
+        for lines, band, (a, b) in zip(power, band_power, edges, strict=True)
     ]
 
 
@@ -107,9 +110,9 @@ class _PieceSpectra:
             return
         keep = len(self._pieces) * self._pieces.size <= LIMITS.max_kept_rows
         for group in self._pieces.groups():
-            X = rfft(group, axis=1)
+            X = rfft(group.astype(np.float32), axis=1)
             if keep:
-                self._kept.append(X.astype(np.complex64))
+                self._kept.append(X)
             yield X
 
 
@@ -135,15 +138,15 @@ def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
     return out
 
 
-def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) -> Array:
-    """(2, bins) squared amplitudes of the lines of the squared envelope of a band, and their mean under random phases.
+def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) -> tuple[Array, Array]:
+    """(bins,) squared amplitudes of the lines of the squared envelope of a band, and (bins of the band,) its power.
 
-    Both are sums over pieces, over the squared mean of the squared envelope, under a Hann window.
+    Both are sums over pieces, over the squared mean of the squared envelope and over that mean; under a Hann window.
 
-    X : (pieces, bins of the band). The transforms are as long as lags up to `bins` need. steps : by piece, as of
-    `_steps`. The envelope is interpolated and not the samples: its mean does not depend on the place between two rows.
+    X : (pieces, bins of the band). steps : by piece, as of `_steps`. The envelope is interpolated and not the samples:
+    its mean does not depend on the place between two rows.
     """
-    n = next_fast_len(max(X.shape[1] + bins, 2 * bins), real=True)
+    n = _transform_size(X.shape[1], bins)
     z = ifft(X, n, axis=1)
     P = X.real**2 + X.imag**2
     mean = np.maximum(P.sum(axis=1, keepdims=True) / n, LIMITS.least_power)  # n times the mean of the squared envelope
@@ -155,10 +158,24 @@ def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) 
     S[:, 0] = 0.0
     windowed = 0.5 * S[:, :bins] - 0.25 * (_before(S)[:, :bins] + S[:, 1:])
     power = windowed.real.astype(np.float64) ** 2 + windowed.imag.astype(np.float64) ** 2
-    products = rfft(P / mean, n, axis=1)
-    R = irfft(products.real**2 + products.imag**2, n, axis=1)[:, : bins + 1].astype(np.float64)
+    return power.sum(axis=0) * (4.0 / n) ** 2, (P / mean).sum(axis=0)
+
+
+def _random_power(P: NDArray[Any], bins: int) -> Array:
+    """(bins,) mean of the squared amplitudes of the lines of the squared envelope under random phases.
+
+    P : (bins of the band,) mean over the pieces of the power of a bin, over n times the mean of the squared envelope.
+    """
+    n = _transform_size(P.size, bins)
+    products = rfft(P, n)
+    R = irfft(products.real**2 + products.imag**2, n)[None, : bins + 1].astype(np.float64)
     random = 0.25 * R[:, :bins] + 0.0625 * (_before(R)[:, :bins] + R[:, 1:])
-    return np.array([power.sum(axis=0), random.sum(axis=0)]) * (4.0 / n) ** 2
+    return np.asarray(random[0] * (4.0 / n) ** 2)
+
+
+def _transform_size(band: int, bins: int) -> int:
+    """Length of a transform of a band of some bins that holds lags up to `bins` without wrapping."""
+    return int(next_fast_len(max(band + bins, 2 * bins), real=True))
 
 
 def _before(lags: NDArray[Any]) -> NDArray[Any]:

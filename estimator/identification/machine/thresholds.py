@@ -19,8 +19,8 @@ class Thresholds:
 
     # envelope
     max_envelope_piece_s: float = 20.0  # the phase of strikes that slip is lost within some seconds
-    # bands that share the range up to half the rate, finest ones last
-    bands_per_rate: tuple[int, ...] = (1, 2, 4, 6, 8, 12, 16, 24)
+    # bands that share the range up to half the rate, halved from one to the next as in a kurtogram
+    bands_per_rate: tuple[int, ...] = (1, 2, 4, 8, 16)
     min_band_over_highest: float = 0.25  # width of a band over the highest frequency asked for
     top_of_nyquist: float = 0.94  # part of the range below half the rate that a recorder passes
     floor_block_hz: float = 20.0  # of the floor that whitens: wider than a line, narrower than a mode

@@ -13,7 +13,7 @@ from .thresholds import PIECE_ROWS, RECORD_THRESHOLDS, Thresholds
 def robust_scale(y: Array) -> tuple[float, float]:
     """Median of a channel (n,), and the standard deviation of a Gaussian with its median absolute deviation.
 
-    Of a long channel they are of samples drawn at random: their error is a thousandth of the deviation. NaN with fewer
+    Of a long channel they are of samples drawn at random: their error is 0.4 % of the deviation. NaN with fewer
     than 16 finite samples.
     """
     if y.size > RECORD_THRESHOLDS.max_median_samples:
