@@ -3,7 +3,8 @@
     python -m tests.studies.complete_rigs --count 200 --out build/complete_rigs
 
 One line of JSON per rig is appended to OUT/runs.jsonl; a second call goes on where the first one stopped. A claim is
-any verdict but "complete", a model that is not adequate, or a message that lays something to the shaft or to a mass.
+a verdict that names an effect or the rig file, or a message that lays something to the shaft or to a mass. An "unknown"
+and a "complete" that `compare` does not share are counted beside the claims.
 Noise of the sensors is in every record, so a verdict that names it is true.
 """
 
@@ -105,8 +106,7 @@ def run(seed: int, *, named: bool = False, seconds: float = SECONDS) -> dict[str
     except (DataError, ModelError) as problem:
         return out | {"verdict": "refused", "claims": False, "text": str(problem)[:200]}
     codes = [m.code for m in found.messages]
-    silent = compared.adequate if found.verdict == "complete" else found.verdict == NOISE
-    claims = not silent or bool(CLAIMS.intersection(codes))
+    claims = found.verdict not in ("complete", "unknown", NOISE) or bool(CLAIMS.intersection(codes))
     top = found.ranking[0] if found.ranking else None
     errors = {}
     for place, settings in truth.linear.items():
@@ -157,7 +157,13 @@ def main() -> None:
     asked = [done[s] for s in range(given.first, given.first + given.count)]
     judged = [r for r in asked if r["verdict"] != "refused"]
     wrong = sum(r["claims"] for r in judged)
-    print(f"{wrong} of {len(judged)} complete rigs claim something; {len(asked) - len(judged)} refused")
+    complete = sum(r["verdict"] in ("complete", NOISE) and r["adequate"] for r in judged)
+    unknown = sum(r["verdict"] == "unknown" for r in judged)
+    apart = sum(r["verdict"] == "complete" and not r["adequate"] for r in judged)
+    print(
+        f"{wrong} of {len(judged)} complete rigs claim something; {complete} complete, {unknown} unknown, "
+        f"{apart} complete but not adequate; {len(asked) - len(judged)} refused"
+    )
 
 
 if __name__ == "__main__":
