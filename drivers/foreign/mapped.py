@@ -18,7 +18,8 @@ from drivers.can.can_frames import ERROR_FLAG, REMOTE_FLAG, CanFrames
 from drivers.contract.notices import Notices
 from drivers.contract.reading import Block, Gap, Info, LinkStats, Reading
 from drivers.protocol.device_info import Expected
-from drivers.protocol.time_axis import TimeAxis, off_nominal
+from drivers.protocol.period import off_nominal
+from drivers.protocol.time_axis import TimeAxis
 
 from .cycles import Timing
 from .findings import Finding, look, nothing_matched
@@ -102,7 +103,9 @@ class MappedDecoder:
         """Why no sample has come."""
         if self._open is not None and len(self._open) and not self.learned:
             return "too few have come to know their rate"
-        if self._axis.rate_hz is not None and self._axis.held:
+        if self._axis.rate_hz is None and self._axis.held:
+            return "the frames come so unevenly that their rate is not known yet"
+        if self._axis.held:
             return "the frames were held up and come at once; samples follow when it is clear whether any is missing"
         return nothing_matched(self.plan, dict(self._seen))
 

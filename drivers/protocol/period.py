@@ -7,7 +7,7 @@ most distances agree on: of neighbours where they are even, else over so many sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ LEAST_SAMPLES = 8
 MOST_SAMPLES = 16_384  # of a record that are looked at
 EVEN_REL = 0.35  # of a period: a distance so near a whole number of periods is even
 EVEN_SHARE = 0.9  # of the distances that are, where stamps are exact
+LEAST_CAME_SHARE = 0.5  # of the samples that an even distance implies; if fewer came, it is that of a transfer
 TWIN_SHARE = 0.02  # of distances near zero, which an exact stamp never has
 LONGEST_EVEN_STEPS = 8  # periods; an error of the first guess would pass for a part of a period in longer ones
 NOMINAL_REL = 2e-3  # of the rate: an oscillator is never so far off
@@ -26,6 +27,7 @@ REGULAR_SAMPLES = 1.5  # by which the distance over many samples varies, if noth
 LEAST_REGULAR_SAMPLES, LEAST_LOSSES = 64, 8.0  # over so many samples or losses: at random, these vary by 7
 UNSEEN_SHARE = 0.1  # of the common divisor of all stamps, if they are whole periods
 WHOLE_SAMPLES = 1.25  # prompt arrivals lie within one sample, and a little jitter
+MOST_BLOCKS = 16  # of arrivals, each with a prompt one
 COARSE_REL = 0.2  # of a period: a resolution of stamps that is no longer fine
 
 F64Array = NDArray[np.float64]
@@ -34,11 +36,15 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """ns : the sampling period. error_rel : how far it may be off. exact : each stamp places its own sample."""
+    """ns : the sampling period. error_rel : how far it may be off. exact : each stamp places its own sample.
+
+    sure : False where arrivals neither agree on a distance nor follow their number: some were lost, or held up.
+    """
 
     ns: float
     error_rel: float
     exact: bool
+    sure: bool = True
 
     @property
     def rate_hz(self) -> float:
@@ -56,14 +62,17 @@ def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period |
     resolution_ns = float(np.gcd.reduce(steps_ns))
     steps = steps_ns.astype(np.float64)
     even = _even(steps, resolution_ns)
-    if even is None:
+    nominal = even is not None and nominal_ns is not None and abs(even.ns / nominal_ns - 1.0) < NOMINAL_REL
+    if even is None or not (nominal or even.ns > LEAST_CAME_SHARE * float(steps.mean())):
         many = _over_many(_times(steps), resolution_ns)
-        return many if many is None or many.error_rel < SHARP_REL else _whole(_times(steps), many.ns) or many
+        straight = None if many is None else _straight(_times(steps), many.ns)
+        if many is None or straight is None:
+            return None if many is None else replace(many, sure=False)
+        return many if many.error_rel < SHARP_REL else straight
     ratio = steps / even.ns
     if (np.abs(ratio - np.rint(ratio)) > ODD_SAMPLES).mean() > TWIN_SHARE:
         # late frames, or pauses that come back, are not whole periods: the mean distance counts them in
         return _regular(_times(steps), even.ns, REGULAR_SAMPLES * even.ns) or even
-    nominal = nominal_ns is not None and abs(even.ns / nominal_ns - 1.0) < NOMINAL_REL
     if nominal or resolution_ns < COARSE_REL * even.ns or (np.rint(ratio) > 1).mean() < TWIN_SHARE / 4:
         return even
     # whole multiples of a coarse resolution: losses at random, or a period between two multiples, which is regular
@@ -124,20 +133,25 @@ def _over_many(t_ns: F64Array, resolution_ns: float) -> Period | None:
     return best
 
 
-def _whole(t_ns: F64Array, period_ns: float) -> Period | None:
-    """The slope of the arrivals by their number, if they are those of a device that counts on and lost nothing.
+def _straight(t_ns: F64Array, period_ns: float) -> Period | None:
+    """The slope of the earliest arrivals by their number, if these are of a device that counts on and lost nothing.
 
-    The last arrival of each burst is prompt: it comes within a sample of its time. Losses, which are a walk at random,
-    leave more between the arrivals and their line.
+    Losses, which are a walk at random, and what was held up leave more between these arrivals and their line.
     """
-    number = np.flatnonzero(np.append(np.diff(t_ns) > 0.5 * period_ns, False))
-    if len(number) < LEAST_SAMPLES:
-        return None
+    n = len(t_ns)
+    edges = np.linspace(0, n, min(MOST_BLOCKS, n // 2) + 1).astype(np.int64)
+    late = t_ns / period_ns - np.arange(n)
+    number = np.array([a + int(np.argmin(late[a:b])) for a, b in zip(edges[:-1], edges[1:], strict=True)])
     slope, start = np.polyfit(number, t_ns[number] / period_ns, 1)
     rest = t_ns[number] / period_ns - slope * number - start
     if np.ptp(rest) > WHOLE_SAMPLES or slope <= 0.0:
         return None
     return Period(period_ns * float(slope), 0.5 / (float(number[-1] - number[0]) * float(slope)), False)
+
+
+def off_nominal(found: Period, nominal_ns: float) -> bool:
+    """Whether a measured period is not the nominal one: by more than an oscillator is off, and than it may be off."""
+    return abs(found.ns / nominal_ns - 1.0) > max(NOMINAL_REL, 2.0 * found.error_rel)
 
 
 def round_rate(rate_hz: float, error_rel: float = 0.0) -> float:

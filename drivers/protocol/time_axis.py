@@ -14,26 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .look_ahead import LEAST_BUNCHED_SHARE, earliest_ahead, look_ahead_ends
-from .period import NOMINAL_REL, SHARP_REL, Period, estimate_period, round_rate
+from .first_period import LEAST_SAMPLES, first_period
+from .look_ahead import calm_ends, earliest_ahead, earliest_until
+from .period import NOMINAL_REL, Period, off_nominal, round_rate
 
 LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
 MAX_LOOK_AHEAD = 4096  # samples
 MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
+FOLLOWED_DRIFT_REL = 2e-4  # once it has been followed for long
 EXACT_DRIFT_REL = 2e-3  # and where each stamp places its sample
-LEAST_SAMPLES, LEAST_S = 32, 1.0  # a rate is measured over both, or over
-ENOUGH_S = 2.0  # and a few samples
+UNEVEN_PARTS = 8  # of the first samples, if some were held up: the calmest shows how late frames usually are
 PIECE_SAMPLES = 256  # placed by one line, at most; and no more than drift by
 PIECE_DRIFT_SAMPLES = 0.25
 FLAT_SAMPLES, FLAT_PIECE_SAMPLES = 0.4, 1024  # by which the earliest arrivals vary where nothing is missing
 MOST_UNSURE_REL = 2e-2  # of the period
 HISTORY_PIECES = 32  # over which the period is followed
+MOST_LATE_SHARE = 0.25  # of the look-ahead: what is later was held up, and is waited for
 CLOSE_SAMPLES = 0.35  # short of a whole sample, lateness counts as one: it never comes early
 STEP_BACK_NS = 1_000_000
 FAR_NS, LEAP_NS = 86_400_000_000_000, 1_000_000_000
 
 F64Array = NDArray[np.float64]
 I64Array = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,8 @@ class TimeAxis:
         self._least_unsure_rel = MAX_DRIFT_REL
         self._unsure_rel = MAX_DRIFT_REL  # of the period, so much of which is followed
         self._late = 0.0  # samples by which frames have lately been late
+        self._calm: deque[float] = deque(maxlen=HISTORY_PIECES)  # the latest of each look-ahead of late
+        self._latest, self._since_calm = 0.0, 0
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY_PIECES)
         self._origin_ns = 0
 
@@ -91,10 +96,8 @@ class TimeAxis:
         times = self._held
         passed = (times - self._anchor_ns - self._rest_ns) / self._period_ns
         lag = np.asarray(passed - np.arange(len(times)), np.float64)
-        ahead = self._ahead()
-        known = self._known(lag, ahead)
-        ends = look_ahead_ends(times, ahead, ahead * self._period_ns)
-        placed = self._pieces(lag if known is None else lag - known, known, ends, final)
+        known = self._known(lag, self._ahead())
+        placed = self._pieces(lag if known is None else lag - known, known, final)
         sure = len(placed.index)
         self._held, self._hints = times[sure:], self._hints[sure:]
         return placed
@@ -130,20 +133,21 @@ class TimeAxis:
                 self._hints[at] = max(0, self._hints[at] - int(early + CLOSE_SAMPLES))
         return np.asarray(np.cumsum(self._hints))
 
-    def _pieces(self, lag: F64Array, known: I64Array | None, ends: I64Array, final: bool) -> Placed:
+    def _pieces(self, lag: F64Array, known: I64Array | None, final: bool) -> Placed:
         n, done, base, level = len(lag), 0, 0.0, 0
-        earliest = earliest_ahead(lag, ends)
-        whole = int(np.searchsorted(ends, n, side="right"))  # of so many, the look-ahead is there
+        earliest = earliest_ahead(lag, self._ahead())
         low, high = float(earliest.min()), float(earliest.max())
         if known is None and low > -0.5 and high < 1.0 - CLOSE_SAMPLES and high - low < FLAT_SAMPLES:
             return self._flat(lag, earliest)
+        earliest, whole, settled = self._beyond(lag, earliest, final)
         missing = np.zeros(n, np.int64)
         unsure = within = 0
         size = max(1, min(PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
         while done < n:
             stop = min(done + size, n)
             beyond = slice(done, stop + round(4.0 * (self._late + 2.0)))
-            found, sure = self._levels(earliest[beyond] - base, level, whole - done, n - done, final)
+            raw = np.where(settled[beyond], np.floor(earliest[beyond] - base + CLOSE_SAMPLES), level)
+            found, sure = self._levels(raw, level, whole - done, n - done, final)
             certain = min(sure, stop - done)
             sure = self._apart(found[:certain], level)
             if sure == 0:
@@ -153,9 +157,10 @@ class TimeAxis:
             if found[sure - 1] > level:
                 more, width = self._sharpen(missing, lag - base, level, here, self._hints if known is None else None)
                 unsure, within = unsure + more, max(within, width)
-            rest = earliest[here] - found[:sure]
-            self._is_late(_quantile(lag[here] - found[:sure] - base, 0.98))
-            base += _drift(_quantile(rest, 0.5) - base, self._unsure_rel * sure)
+            self._is_late(lag[here] - found[:sure] - base)
+            rest = (earliest[here] - found[:sure])[settled[here]]
+            if len(rest):
+                base += _drift(_quantile(rest, 0.5) - base, self._unsure_rel * sure)
             done, level = done + sure, int(found[sure - 1])
             passed = done + level + (0 if known is None else int(known[done - 1]))
             self._remember(self._next + passed, passed + base)
@@ -167,12 +172,21 @@ class TimeAxis:
         self._advance(done + level, base)
         return Placed(index, unsure, within)
 
+    def _beyond(self, lag: F64Array, earliest: F64Array, final: bool) -> tuple[F64Array, int, BoolArray]:
+        """The earliest arrivals up to a calm, of how many samples they are known, and which came to a calm at all."""
+        n, ahead = len(lag), self._ahead()
+        found = calm_ends(lag, earliest, ahead, min(self._calm), final)
+        if found is None:
+            return earliest, max(0, n - ahead + 1), np.ones(n, np.bool_)
+        ends, settled = found
+        return earliest_until(lag, ends), int(np.searchsorted(ends, n, side="right")), settled
+
     def _flat(self, lag: F64Array, earliest: F64Array) -> Placed:
         """Nothing is missing, nor does the clock drift by much: all in one."""
         n = len(lag)
         last = earliest[-PIECE_SAMPLES:]
         base = _drift(_quantile(last, 0.5), self._unsure_rel * n)
-        self._is_late(_quantile(lag, 0.98) - base)
+        self._is_late(lag - base)
         for stop in range(FLAT_PIECE_SAMPLES, n + 1, FLAT_PIECE_SAMPLES):
             self._remember(self._next + stop, stop + float(earliest[stop - 1]))
         index = self._next + np.arange(n)
@@ -180,9 +194,15 @@ class TimeAxis:
         self._advance(n, base)
         return Placed(index)
 
-    def _is_late(self, samples: float) -> None:
-        """What a host held up once while it stood still has a look-ahead of its own, and is not how late frames are."""
-        self._late = max(min(samples, LEAST_BUNCHED_SHARE * self._ahead()), 0.9 * self._late)
+    def _is_late(self, late: F64Array) -> None:
+        """Follow by how many samples frames are late, and by how many in a calm."""
+        ahead = self._ahead()
+        self._late = max(min(_quantile(late, 0.98), MOST_LATE_SHARE * ahead), 0.9 * self._late)
+        self._latest = max(self._latest, float(late.max()))
+        self._since_calm += len(late)
+        if self._since_calm >= max(ahead, PIECE_SAMPLES):
+            self._calm.append(self._latest)
+            self._latest, self._since_calm = 0.0, 0
 
     def _apart(self, found: I64Array, level: int) -> int:
         """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""
@@ -190,24 +210,24 @@ class TimeAxis:
         near = steps[steps > max(0.0, len(found) - self._late - 3.0)]
         return int(near[0]) if len(near) else len(found)
 
-    def _levels(self, behind: F64Array, level: int, whole: int, held: int, final: bool) -> tuple[I64Array, int]:
+    def _levels(self, raw: F64Array, level: int, whole: int, held: int, final: bool) -> tuple[I64Array, int]:
         """(n,) samples missing before each, and how many of these are certain.
 
         A step up counts if it is more than frames have lately been late, or if it lasts for longer than a burst; while
         it may still last, it waits.
         """
-        n = len(behind)
+        n = len(raw)
         result = np.full(n, level, np.int64)
-        raw = np.floor(behind + CLOSE_SAMPLES)
         if not (raw > level).any():
             return result, n
-        raw = np.maximum.accumulate(np.maximum(raw, level)).astype(np.int64)
+        raw = np.maximum.accumulate(np.maximum(raw, level))
         steps = [*np.flatnonzero(np.diff(raw, prepend=level) > 0).tolist(), n]
+        late = min(self._late, *self._calm)
         for start, stop in zip(steps[:-1], steps[1:], strict=True):
             if start >= whole and not final:
                 return result, start  # a later frame may still catch up
             lasts = (held if stop == n else stop) - start
-            if raw[start] - level > self._late + 0.5 or lasts >= 2.0 * (self._late + 1.0):
+            if raw[start] - level > late + 0.5 or lasts >= 2.0 * (late + 1.0):
                 level = int(raw[start])
             elif stop == n and not final:
                 return result, start
@@ -247,39 +267,30 @@ class TimeAxis:
 
     def _learn(self, final: bool) -> bool:
         """Measure the period of the first samples."""
-        times, n = self._held, len(self._held)
-        span_s = float(times.max() - times.min()) / 1e9
-        enough = n >= self._learn_samples and span_s >= LEAST_S
-        if not final and not enough and not (self._learn_samples <= LEAST_SAMPLES and n >= 8 and span_s >= ENOUGH_S):
-            return False
+        times = self._held
         nominal_ns = None if self.nominal_hz is None else 1e9 / self.nominal_hz
-        found = estimate_period(_with_damaged(times, self._hints) if self.trust_hints else times, nominal_ns)
-        self.measured = found
-        if found is None and nominal_ns is None:
-            steps = np.diff(times)
-            if not (steps > 0).any():
-                return False
-            found = Period(float(np.median(steps[steps > 0])), 1.0, False)
-        if nominal_ns is not None and (found is None or not off_nominal(found, nominal_ns)):
-            self.rate_hz = self.nominal_hz
-            found = found if found is not None and _sharp(found) else Period(nominal_ns, 0.0, False)
-        if found is None:
+        arrivals = _with_damaged(times, self._hints) if self.trust_hints else times
+        first = first_period(arrivals, nominal_ns, final, self._learn_samples)
+        if first is None:
             return False
-        error_rel = self.measured.error_rel if self.measured is not None and not found.exact else 0.0
-        self._least_unsure_rel = EXACT_DRIFT_REL if found.exact else MAX_DRIFT_REL
-        self._unsure_rel = max(self._least_unsure_rel, min(2.0 * error_rel, MOST_UNSURE_REL))
+        self.measured, found = first.measured, first.used
+        if nominal_ns is not None and (first.measured is None or not off_nominal(first.measured, nominal_ns)):
+            self.rate_hz = self.nominal_hz
+        error_rel = 0.0 if found.exact else found.error_rel
+        self._least_unsure_rel = EXACT_DRIFT_REL if found.exact else FOLLOWED_DRIFT_REL
+        self._unsure_rel = max(EXACT_DRIFT_REL if found.exact else MAX_DRIFT_REL, min(2.0 * error_rel, MOST_UNSURE_REL))
         self._period_ns = found.ns
         self.rate_hz = self.rate_hz or round_rate(found.rate_hz, found.error_rel)
         self._anchor_ns = self._origin_ns = int(times[0])
         ahead = self._ahead()
         some = times[: 4 * ahead]
         lag = np.asarray((some - times[0]) / self._period_ns - np.arange(len(some)), np.float64)
-        self._late = max(
-            0.0, _quantile(lag - earliest_ahead(lag, look_ahead_ends(some, ahead, ahead * self._period_ns)), 0.9)
-        )
-        first = times[:ahead]
-        number = np.arange(len(first)) + (np.cumsum(self._hints[:ahead]) if self.trust_hints else 0)
-        self._rest_ns = float((first - first[0] - number * self._period_ns).min())
+        late: F64Array = lag - earliest_ahead(lag, ahead)
+        self._late = max(0.0, _quantile(late, 0.9))
+        parts = np.array_split(late, 1 if first.even else UNEVEN_PARTS)
+        self._calm.append(min(float(part.max()) for part in parts if len(part)))
+        number = np.arange(len(times[:ahead])) + (np.cumsum(self._hints[:ahead]) if self.trust_hints else 0)
+        self._rest_ns = float((times[:ahead] - times[0] - number * self._period_ns).min())
         return True
 
     def _ahead(self) -> int:
@@ -313,26 +324,17 @@ class TimeAxis:
         if (
             self.rate_hz is None
             or len(self._history) < HISTORY_PIECES // 2
-            or self._unsure_rel > self._least_unsure_rel
+            or self._unsure_rel > max(self._least_unsure_rel, MAX_DRIFT_REL)
         ):
             return None
         rate_hz = 1e9 / self._period_ns
         return rate_hz if abs(rate_hz / self.rate_hz - 1.0) > NOMINAL_REL else None
 
 
-def _sharp(found: Period) -> bool:
-    return found.exact or found.error_rel < SHARP_REL
-
-
 def _with_damaged(times: I64Array, hints: I64Array) -> I64Array:
     """Arrivals with one more, with the time of the next, for each frame damaged before it; at most a few for each."""
     few = np.minimum(hints, 8)
     return np.repeat(times, few + 1)
-
-
-def off_nominal(found: Period, nominal_ns: float) -> bool:
-    """Whether a measured period is not the nominal one: by more than an oscillator is off, and than it may be off."""
-    return abs(found.ns / nominal_ns - 1.0) > max(NOMINAL_REL, 2.0 * found.error_rel)
 
 
 def _quantile(values: F64Array, share: float) -> float:

@@ -80,6 +80,59 @@ def test_what_a_host_that_stood_still_reads_at_once_shifts_nothing(longest_s: fl
     assert axis.drifted() is None
 
 
+def starved(sent_s: np.ndarray, rng: np.random.Generator, from_s: float, off_s: float, on_s: float) -> np.ndarray:
+    """When frames are read by a host that has for some seconds, again and again, only moments for it."""
+    read_s, now_s = sent_s.copy(), from_s
+    while now_s < sent_s[-1]:
+        end_s = now_s + rng.uniform(0.5, 8.0)
+        while now_s < end_s:
+            until_s = now_s + rng.exponential(off_s)
+            part = slice(*np.searchsorted(sent_s, [now_s, until_s]))
+            read_s[part] = np.maximum(read_s[part], until_s)
+            now_s = until_s + rng.exponential(on_s)
+        now_s += rng.uniform(3.0, 8.0)
+    return np.ceil(np.maximum.accumulate(read_s) / 0.004) * 0.004
+
+
+@pytest.mark.promise(
+    "this computer has no time for the link, a device without a counter",
+    "half of the time only moments of 3 to 30 ms, 0.1 to 3 s apart, also from the first frame on",
+    "no loss is invented, none forgotten: the index at the end is right",
+)
+@pytest.mark.parametrize("from_s", [0.0, 15.0])
+@pytest.mark.parametrize("lost_share", [0.0, 5e-4])
+@pytest.mark.parametrize(("hz", "off_s", "on_s"), [(100.0, 0.1, 0.003), (100.0, 3.0, 0.01), (400.0, 0.4, 0.01)])
+def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, lost_share: float, from_s: float) -> None:
+    """It counted up to 2000 samples too many in 200 s, and took 100 Hz for 5 kHz when it was so from the start."""
+    rng, n = np.random.default_rng(0), round(120 * hz)
+    sent_s = np.maximum.accumulate(np.arange(n) / (hz * 1.0001) + rng.exponential(3e-4, n))
+    kept = np.flatnonzero(rng.random(n) >= lost_share)
+    kept = kept[: np.searchsorted(sent_s[kept], 110.0)]
+    read_s = starved(sent_s[kept], rng, from_s, off_s, on_s)
+    calm_s = np.append(read_s, read_s[-1] + np.arange(1, 400) / hz)  # until it has time again
+    kept = np.append(kept, round((read_s[-1] - sent_s[kept[-1]]) * hz) + kept[-1] + np.arange(1, 400))
+    axis, t_ns = TimeAxis(hz), np.rint(calm_s * 1e9).astype(np.int64)
+    parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns // 200_000_000)) + 1)]
+    index = np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+    off = index - kept - (index[0] - kept[0])
+    assert axis.rate_hz == hz
+    assert abs(off[-1]) <= 1  # of a loss before it first had time, nothing tells
+    assert from_s == 0.0 or (off != 0).mean() < (0.2 if lost_share else 0.01)
+
+
+@pytest.mark.parametrize("hz", [400.0, 1000.0])
+def test_losses_at_random_among_uneven_stamps_are_no_slower_device(hz: float) -> None:
+    """2 % lost, read every 4 ms: the rate was taken 2 % too low, and no loss was told."""
+    rng, n = np.random.default_rng(0), round(30 * hz)
+    read_s = np.ceil(np.maximum.accumulate(np.arange(n) / hz + rng.exponential(3e-4, n)) / 0.004) * 0.004
+    kept = np.flatnonzero(rng.random(n) >= 0.02)
+    axis, t_ns = TimeAxis(hz), np.rint(read_s[kept] * 1e9).astype(np.int64)
+    parts = [axis.place(t_ns[k : k + 100]).index for k in range(0, len(t_ns), 100)]
+    index = np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+    assert axis.rate_hz == hz
+    assert abs(int(index[-1] - kept[-1])) <= 0.03 * (n - len(kept))
+
+
 @pytest.mark.parametrize("batch", [4, 4096])
 def test_losses_in_bursts_are_counted_and_said_to_be_unsure(batch: int) -> None:
     """Bursts of 4 ms at 1 kHz, one frame of 97 lost: none closed up, each misplaced by a burst at most."""
