@@ -114,7 +114,7 @@ def screenshot(recording: Path, out: Path) -> Path:
         raise SystemExit("rerun-sdk is not installed")
     viewer = Path(package.origin).with_name("rerun")  # not the script: a kill would leave its child
     width, height = SIZE
-    screen = ["xvfb-run", "-a", "-s", f"-screen 0 {3 * width}x{3 * height}x24"]  # the pointer stays outside the window
+    screen = ["xvfb-run", "-a", "-s", f"-screen 0 {5 * width}x{5 * height}x24"]  # the pointer stays outside the window
     options = ["--renderer=vulkan", "--window-size", f"{width}x{height}", "--bind", "127.0.0.1", "--port", "auto"]
     run([*screen, str(viewer), *options, "--screenshot-to", str(out), str(recording)])
     smaller(out)

@@ -27,16 +27,15 @@ def severity(
     value = severity_document(rig, survey, levels)
     channels, machine, findings = (value[key] for key in ("channels", "iso20816", "findings"))
     said = [line for line in (zone_line(channels, machine),) if line]
+    voids = void_lines(channels)
     if pages:
         record = with_severity(survey.to_json(), levels)
-        _write_pages(pages, rig, data, record, [*(line[0].upper() + line[1:] for line in said), *void_lines(channels)])
+        _write_pages(pages, rig, data, record, [line[0].upper() + line[1:] for line in (*said, *voids)])
     people: list[Any] = [cells_table(*severity_rows(channels)), ""]
     if (rows := band_rows(channels))[1]:
         people += [cells_table(*rows), ""]
-    reasons = void_lines(channels)
-    people += [f"note: {f['text']}" for f in findings if not any(f["text"] in line for line in reasons)]
-    people += reasons
-    people += said
+    people += [f"note: {f['text']}" for f in findings if not any(f["text"] in line for line in voids)]
+    people += [*voids, *said]
     output.result(value | origin(log, rig_path, rig, data), *people, *pages.said())
 
 

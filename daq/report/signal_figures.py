@@ -69,7 +69,8 @@ def envelopes(spectra: Json) -> str | None:
         marks = [(k * hz, name if k == 1 else f"{k}×{name}") for hz, name in s["marks"] for k in _multiples(name)]
         label_marks(ax, sorted(m for m in marks if m[0] <= f[-1]))
         low, high = s["band_hz"]
-        label_axes(ax, "frequency, Hz", "PSD of the squared envelope", f"{channel}, {low:.4g} to {high:.4g} Hz")
+        unit = f", ({unit_text(s['unit'])})⁴/Hz" if "unit" in s else ""
+        label_axes(ax, "frequency, Hz", f"PSD of its square{unit}", f"{channel}, {low:.4g} to {high:.4g} Hz")
     return svg(figure, "envelopes")
 
 

@@ -82,7 +82,7 @@ def signal_spectra(model: Model, y: Array, rate_hz: float, diagnosis: Json) -> d
         f, psd = averaged_spectrum(envelope, rate_hz)
         inside = (f > 0) & (f <= min(reach * 1.1, rate_hz / 2))
         if inside.any():
-            own = {"frequency_hz": f[inside].tolist(), "psd": psd[inside].tolist(), "band_hz": list(band)}
+            own = {"frequency_hz": f[inside].tolist(), "psd": psd[inside].tolist(), "band_hz": list(band), "unit": unit}
             out["envelopes"][channel.name] = own | {"marks": [list(mark) for mark in (*shaft[:1], *orders)]}
     return out
 

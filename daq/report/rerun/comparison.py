@@ -37,6 +37,15 @@ class Picture(NamedTuple):
     frame: plane.Plane
     series: list[Series]
     title: str
+    marks: Sequence[tuple[float, str]] = ()  # lines over the whole height, with names
+
+    def log(self, recording: Any, entity: str, static: bool = False) -> None:
+        """Draw it."""
+        lines = [(np.full(2, at), np.array([self.frame.y.low, self.frame.y.high]), DARK_COLOUR) for at, _ in self.marks]
+        drawings = [*self.frame.frame(), ("curves", plane.curves(self.frame, [*lines, *self.series]))]
+        drawings += [("marks", plane.mark_names(self.frame, self.marks))] if self.marks else []
+        for name, drawing in drawings:
+            recording.log(f"{entity}/{name}", drawing, static=static)
 
 
 def log_comparison(
@@ -69,14 +78,10 @@ def log_comparison(
         recording.set_time(STEP_TIMELINE, sequence=k)
         for entity, picture in planes(steps, k).items():
             drawn[entity] = picture.title
-            for name, drawing in picture.frame.frame():
-                recording.log(f"{entity}/{name}", drawing)
-            recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
+            picture.log(recording, entity)
     for entity, picture in (unknown(diagnoses) | measured(signal or {}) | shaft_orders(signal or {})).items():
         drawn[entity] = picture.title
-        for name, drawing in picture.frame.frame():
-            recording.log(f"{entity}/{name}", drawing, static=True)
-        recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series), static=True)
+        picture.log(recording, entity, static=True)
     for channel, fall in (signal or {}).get("waterfalls", {}).items():
         entity = f"waterfall/{part(channel)}"
         frame, image = waterfall(fall)
@@ -220,40 +225,30 @@ def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
 
 
 def measured(signal: Json) -> dict[str, Picture]:
-    """Measured spectra, and those of the squared envelope, by channel; the marks are lines over the whole height."""
+    """Measured spectra, and those of the squared envelope, by channel, with their marks."""
     found: dict[str, Picture] = {}
-    for kind, title, log in (("spectra", "measured", True), ("envelopes", "squared envelope", False)):
+    for kind, title, log, power in (("spectra", "measured", True, "²"), ("envelopes", "squared envelope", False, "⁴")):
         for channel, s in signal.get(kind, {}).items():
             f, psd = floats(s["frequency_hz"]), floats(s["psd"])
-            y = plane.Axis(*plane.decades(psd), "PSD", log=True)
+            y = plane.Axis(*plane.decades(psd), f"({unit_text(s['unit'])}){power}/Hz", log=True)
             x = plane.Axis(float(f.min()), float(f.max()), "frequency, Hz", log=log)
-            lines: list[Series] = [
-                (np.array([hz, hz]), np.array([y.low, y.high]), DARK_COLOUR)
-                for hz, _ in s["marks"]
-                if x.low <= hz <= x.high
-            ]
-            named = ", ".join(label for _, label in s["marks"])
-            heading = f"{channel}, {title}" + (f": {named}" if named else "")
-            found[f"signal/{kind}_{part(channel)}"] = Picture(
-                plane.Plane(x, y), [*lines, (f, psd, MEASURED_COLOUR)], heading
-            )
+            marks = [(hz, label) for hz, label in s["marks"] if x.low <= hz <= x.high]
+            heading = f"{channel}, {title} [{y.label}]"
+            found[f"{kind}/{part(channel)}"] = Picture(plane.Plane(x, y), [(f, psd, MEASURED_COLOUR)], heading, marks)
     return found
 
 
 def shaft_orders(signal: Json) -> dict[str, Picture]:
-    """Amplitude of lines against the order of the shaft by channel; the marks are lines over the whole height."""
+    """Amplitude of lines against the order of the shaft by channel, with their marks."""
     found: dict[str, Picture] = {}
     for channel, s in signal.get("orders", {}).items():
         order, amplitude = floats(s["order"]), floats(s["amplitude"])
         y = plane.Axis(*plane.decades(amplitude), unit_text(s["unit"]), log=True)
         x = plane.Axis(0.0, float(order.max()), "order of the shaft")
-        lines: list[Series] = [
-            (np.array([at, at]), np.array([y.low, y.high]), DARK_COLOUR) for at, _ in s["marks"] if at <= x.high
-        ]
-        named = ", ".join(f"{label} {at:.3g}" for at, label in s["marks"] if at <= x.high)
-        found[f"signal/orders_{part(channel)}"] = Picture(
-            plane.Plane(x, y), [*lines, (order, amplitude, MEASURED_COLOUR)], f"{channel}, orders: {named}"
-        )
+        inside = [(at, label) for at, label in s["marks"] if at <= x.high]
+        marks = [(at, label if label == f"{at:g}X" else f"{label} {at:.3g}") for at, label in inside]
+        curve = (order, amplitude, MEASURED_COLOUR)
+        found[f"orders/{part(channel)}"] = Picture(plane.Plane(x, y), [curve], f"{channel} [{y.label}]", marks)
     return found
 
 
@@ -324,12 +319,14 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
     kinds = {
-        "signal": "Measured",
+        "spectra": "Measured spectra",
+        "envelopes": "Envelopes",
+        "orders": "Orders",
         "waterfall": "Waterfall",
         "law": "Law",
         "residual": "Residual force",
         "unknown": "Unknown",
-        "spectrum": "Spectra",
+        "spectrum": "Model and measured",
         "density": "Densities",
         "orbit": "Orbits",
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 # view units; the view fits itself to the frame, so every plot has the same size
 WIDTH_UNITS, HEIGHT_UNITS = 1300.0, 560.0
 MARGIN_UNITS = 60.0
+LABEL_UNITS = 85.0  # of the words of the x axis below it: clear of the numbers also in a small view
+MARK_ROWS, MARK_ROW_UNITS = 4, 62.0  # of names of marks, so that neighbours do not cover each other
 GRID_COLOUR = (120, 120, 120, 70)
 TEXT_COLOUR = (150, 150, 150, 255)
 MINUS_SIGN = str.maketrans("-", "\N{MINUS SIGN}")
@@ -104,7 +106,7 @@ class Plane:
             strips.append([[0, at], [self.width, at]])
             marks.append([-MARGIN_UNITS / 2, at - MARGIN_UNITS / 4])
             words.append(text)
-        marks += [[self.width / 2, HEIGHT_UNITS + MARGIN_UNITS / 2]] if self.x.label else []
+        marks += [[self.width / 2, HEIGHT_UNITS + LABEL_UNITS]] if self.x.label else []
         words += [self.x.label] if self.x.label else []
         words = [w.translate(MINUS_SIGN) for w in words]
         return [
@@ -114,6 +116,16 @@ class Plane:
                 rr.Points2D(marks, labels=words, show_labels=True, colors=[TEXT_COLOUR], radii=rr.Radius.ui_points(0)),
             ),
         ]
+
+
+def mark_names(plane: Plane, marks: Sequence[tuple[float, str]]) -> rr.Points2D:
+    """The names of lines over the whole height, at their heads."""
+    import rerun as rr
+
+    at = plane.x.fraction(np.array([value for value, _ in marks])) * plane.width
+    heads = np.column_stack([at, [(k % MARK_ROWS) * MARK_ROW_UNITS for k in range(len(marks))]])
+    names = [name for _, name in marks]
+    return rr.Points2D(heads, labels=names, show_labels=True, colors=[TEXT_COLOUR], radii=rr.Radius.ui_points(0))
 
 
 def curves(

@@ -8,6 +8,7 @@ from typing import Any
 from daq.report import layers as layers
 from daq.report import words as words
 from daq.report.figures import model_name
+from daq.report.first_numbers import severity_rows
 from daq.report.numbers import fixed, number, odds, parameter, percent
 from daq.report.page import described, worth_showing
 
@@ -20,6 +21,8 @@ def documents(
 ) -> dict[str, str]:  # fmt: skip
     """Heading -> Markdown, in the order of the tabs."""
     said = [*notes, *(seen or {}).get("said", ())]
+    levels = {name: own for name, own in (seen or {}).get("record", {}).get("channels", {}).items() if "unit" in own}
+    said += [table(*severity_rows(levels))] if levels and comparison is None else []
     out = {"Summary": summary(title, comparison, diagnoses, ladder, said)}
     if rows := words.regions(before, comparison):
         cells = [
