@@ -23,6 +23,7 @@ FLUSH_NS = 400_000_000  # a chunk ends and reaches the operating system this oft
 SYNC_NS = 1_000_000_000  # and the disk itself this often: a power cut costs about 2 s
 RETRY_NS = 500_000_000
 GIVE_UP_NS = 1_000_000_000
+TAKE_BYTES = 1 << 20  # of what waits, encoded before the next look at the time
 SMALL_ITEM_BYTES = 2048  # about what an estimate, a status or a notice takes
 
 Item = Session | Reading | Estimate | Status
@@ -55,7 +56,7 @@ class LogWriter:
         self._live = live
         self._limit = limit_bytes
         self._changed = threading.Condition()
-        self._queue: deque[Item] = deque()
+        self._queue: deque[tuple[Item, int]] = deque()  # each with its bytes
         self._queued = 0  # bytes
         self._lost: Gap | None = None  # not yet told to the log
         self._dropped = 0
@@ -134,7 +135,7 @@ class LogWriter:
                 seen, since = now, self._clock.now_ns()
             elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
                 self._abandoned = True
-                why = self._problem or "the disk stalls"
+                why = self._problem or ("the disk stalls" if self._file.pending else "this computer is too busy")
                 lacking = f"up to {self._give_up()} samples of its end are not in it"
                 text = f"{self.path} could not be completed: {why}; {lacking}; rotorscope recover may mend it"
                 self._tell("error", "log_incomplete", text)
@@ -143,7 +144,8 @@ class LogWriter:
     def _give_up(self) -> int:
         """Samples that are not known to be on the disk, counted as dropped from now on."""
         with self._changed:
-            lacking = self._encoded - self._safe + sum(len(b.counts) for b in self._queue if isinstance(b, Block))
+            waiting = sum(len(item.counts) for item, _ in self._queue if isinstance(item, Block))
+            lacking = self._encoded - self._safe + waiting
             self._dropped += lacking
             return lacking
 
@@ -165,7 +167,7 @@ class LogWriter:
                 return
             if isinstance(item, Block | Gap):
                 self._record_lost(resumed=isinstance(item, Block))
-            self._queue.append(item)
+            self._queue.append((item, size))
             self._queued += size
             self._changed.notify_all()
 
@@ -183,7 +185,7 @@ class LogWriter:
     def _record_lost(self, resumed: bool) -> None:
         if self._lost is None:
             return
-        self._queue.append(self._lost)
+        self._queue.append((self._lost, 0))
         if resumed:
             text = f"{self.path}: stored again; {self._lost.count} samples from {self._lost.index} are missing"
             self._note("warning", "log_resumed", text)
@@ -213,7 +215,7 @@ class LogWriter:
                 if closing and self._unwanted():
                     break
                 self._encode(item)
-            self._progress += len(items)
+                self._progress += 1
             now = self._clock.now_ns()
             if closing and not items:
                 break
@@ -253,9 +255,12 @@ class LogWriter:
                 return [], False
             if self._closing:
                 self._record_lost(resumed=False)
-            items = list(self._queue)
-            self._queue.clear()
-            self._queued = 0
+            items, taken = list[Item](), 0
+            while self._queue and taken < TAKE_BYTES:
+                item, size = self._queue.popleft()
+                items.append(item)
+                taken += size
+            self._queued -= taken
             self._behind_since_ns = self._behind_since_ns or (self._clock.now_ns() if items else None)
             self._changed.notify_all()
             return items, self._closing

@@ -405,6 +405,26 @@ def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path) -> None:
     StalledFile.gate.set()
 
 
+class StarvedFile(LogFile):
+    """For a writer that gets little time: each chunk takes a while to make."""
+
+    def write(self, data: bytes) -> int:
+        if len(data) > 4096:
+            time.sleep(0.15)
+        return super().write(data)
+
+
+def test_what_a_busy_computer_has_not_encoded_by_the_end_is_not_given_up(tmp_path: Path) -> None:
+    """All that waited was taken in one piece, which was no progress: four minutes of a log were lost at its end."""
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", file=StarvedFile))
+    feeder.feed(round(20 * RATE_HZ) // ROWS)
+    begin = time.monotonic()
+    feeder.close()
+    assert time.monotonic() - begin > 1.5
+    assert not feeder.heard("log_incomplete")
+    assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+
+
 def test_a_log_that_cannot_be_created_is_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "none" / "a.mcap", tmp_path / "file" / "a.mcap", tmp_path):
