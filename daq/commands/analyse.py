@@ -6,16 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
 from daq.analysis.answers import Method, about, compared, fitted, origin
 from daq.base.console.ahead import loaded
 from daq.base.console.extras import check_installed
 from daq.base.console.fitting import FittingTable
 from daq.base.console.memory import keep_freed
 from daq.base.console.output import Output, spare, write_whole
-from daq.base.console.tables import number, parameters_table
+from daq.base.console.tables import parameters_table
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.exchange.measurement import Measurement, measure
@@ -98,13 +95,13 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     missing = value["missing_force_percent"]
     interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
     left = value["heldout_nll"] - value["reference_nll"]
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("channel", "fails against", "region", "share [%]"):
-        table.add_column(Text(heading), justify="right" if heading.endswith("[%]") else "left")
-    for row in value["where"]:
-        cells = (row["channel"], row["against"].replace("_", " "), row["region"], f"{row['share_percent']:.0f}")
-        table.add_row(*(Text(c) for c in cells))
-    people: list[Any] = [table, ""] if value["where"] else []
+    rows = [
+        (row["channel"], row["against"].replace("_", " "), row["region"], f"{row['share_percent']:.0f}")
+        for row in value["where"]
+    ]
+    headings = ("channel", "fails against", "region", "share [%]")
+    table = FittingTable(headings=headings, rows=rows, order=(1, 3, 2), right=frozenset({3}))
+    people: list[Any] = [table, ""] if rows else []
     people.append(f"missing force: {missing['value']:.2f} % of the bearing force ({interval})")
     people.append(
         f"held-out error: {value['heldout_nll']:.5f} nats per sample; black box {value['reference_nll']:.5f}, "
@@ -113,7 +110,7 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     for name, text in (("psd_distance_db", "spectra differ by [dB]"), ("pdf_distance", "densities differ by"),
                        ("simulation_rmse", "free-run simulation error")):  # fmt: skip
         if value.get(name):
-            people.append(f"{text}: " + ", ".join(f"{c} {number(d)}" for c, d in value[name].items()))
+            people.append(f"{text}: " + ", ".join(f"{c} {d:.2g}" for c, d in value[name].items()))
     people += [f"note: {message}" for message in value.get("messages", ())]
     if not message_text(value, {NOT_JUDGED, NOT_CONCLUSIVE}):  # a note above
         people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)

@@ -21,13 +21,15 @@ class FittingTable:
     """A table of texts.
 
     headings : of the columns. rows : cells, one for each heading. order : numbers of the columns that may give way, the
-    first ones last; the others stay. right : numbers of the columns of numbers.
+    first ones last; the others stay. right : numbers of the columns of numbers. whole : of other columns whose cells
+    are not broken between words either.
     """
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     order: Sequence[int] = ()
     right: frozenset[int] = field(default_factory=frozenset)
+    whole: frozenset[int] = field(default_factory=frozenset)
 
     def fitted(self, width: int) -> tuple[list[int], list[int]]:
         """Columns that are shown at so many characters, and those that are left out."""
@@ -42,9 +44,9 @@ class FittingTable:
 
     def _longest_word(self, k: int) -> int:
         """Characters of the longest word of a column; of numbers of the longest cell."""
-        cells = [self.headings[k], *(row[k] for row in self.rows)]
-        words = [word for cell in cells for word in ([cell] if k in self.right and cell != cells[0] else cell.split())]
-        return max(map(len, words), default=1)
+        unbroken = k in self.right | self.whole
+        words = [word for row in self.rows for word in ([row[k]] if unbroken else row[k].split())]
+        return max(map(len, [*self.headings[k].split(), *words]), default=1)
 
     def widths(self, shown: Sequence[int], width: int) -> list[int]:
         """Characters of each column that is shown: what it wants, or its longest word and a share of what is left."""

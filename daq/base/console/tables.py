@@ -5,36 +5,35 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from rich.table import Table
-from rich.text import Text
-
 from drivers.contract import Gap
 from estimator.results import Parameter
 
+from .fitting import FittingTable
 
-def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, float] | None = None) -> Table:
+
+def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, float] | None = None) -> FittingTable:
     """coefficient, value, unit, standard error, relative error, and why not where the data cannot tell."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("coefficient", no_wrap=True)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("std. error", justify="right", no_wrap=True)
-    table.add_column("%", justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    if truth is not None:
-        table.add_column("truth", justify="right", no_wrap=True)
-        table.add_column("off by", justify="right", no_wrap=True)
-    table.add_column("", overflow="fold")
+    headings = ["coefficient", "value", "std. error", "%", "unit", *([] if truth is None else ["truth", "off by"])]
+    rows, remarks = [], []
     for name, p in parameters.items():
         known = [] if truth is None else _beside(p, truth.get(name))
         if p.value is None or not p.identifiable:
             cells = ["-", "-", "-", p.unit, *known]
-            remark = Text(f"not identifiable: {p.reason or 'the data cannot tell'}", style="yellow")
+            remarks.append(f"not identifiable: {p.reason or 'the data cannot tell'}")
         else:
             relative = "-" if not p.value or not p.sd else f"{100 * p.sd / abs(p.value):.2g}"
             cells = [number(p.value, p.sd), number(p.sd or None, p.sd), relative, p.unit, *known]
-            remark = Text(p.reason)
-        table.add_row(Text(name), *(Text(c) for c in cells), remark)
-    return table
+            remarks.append(p.reason)
+        rows.append([name, *cells])
+    order = [4, *((5, 6) if truth is not None else ()), 2, 3]  # the relative error gives way first
+    if any(remarks):
+        order.insert(-1, len(headings))
+        headings.append("remark")
+        rows = [[*row, remark] for row, remark in zip(rows, remarks, strict=True)]
+    return FittingTable(
+        headings=headings, rows=rows, order=order, right=frozenset({1, 2, 3, *((5, 6) if truth is not None else ())}),
+        whole=frozenset({4}),
+    )  # fmt: skip
 
 
 def _beside(p: Parameter, truth: float | None) -> list[str]:
@@ -74,18 +73,15 @@ def gap_reasons(gaps: Sequence[Gap]) -> str:
     return f"{total} gap{'s' if total != 1 else ''}: {named}"
 
 
-def ladder_table(rows: list[dict[str, object]]) -> Table:
+def ladder_table(rows: list[dict[str, object]]) -> FittingTable:
     """Effects against held-out error and missing force, one row a model."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("model: linear and", overflow="fold")
-    for heading in ("held-out error [nats/sample]", "missing force [%]", "interval"):
-        table.add_column(Text(heading), justify="right", no_wrap=True)
+    cells = []
     for row in rows:
         missing = row["missing_force_percent"]
         effects = row["effects"]
         names = ", ".join(str(e) for e in effects) if isinstance(effects, list) else str(effects)
         low, value, high = (missing[k] for k in ("low", "value", "high")) if isinstance(missing, dict) else (0, 0, 0)
-        table.add_row(
-            Text(names or "nothing else"), f"{row['heldout_nll']:.5f}", f"{value:.2f}", f"{low:.2f} to {high:.2f}"
-        )
-    return table
+        interval = f"{low:.2f} to {high:.2f}"
+        cells.append([names or "nothing else", f"{row['heldout_nll']:.5f}", f"{value:.2f}", interval])
+    headings = ("model: linear and", "held-out error [nats/sample]", "missing force [%]", "interval")
+    return FittingTable(headings=headings, rows=cells, order=(2, 1, 3), right=frozenset({1, 2, 3}))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.base.console.output import Output
 from daq.base.console.stop import Stop
-from daq.base.contract.dates import Recorded
+from daq.base.contract.dates import Recorded, utc_text
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
 from daq.base.contract.part import WHOLE_RECORD, Part
 from daq.rig.edit import of_channels
@@ -89,7 +89,8 @@ def run_rig(
         summary = acquire_from(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=Operator(output))
     if importing and stop.event.is_set():
         raise KeyboardInterrupt
-    _report(output, summary, log_path(sinks, out), {"rig": rig.model.name} | watch.to_json())
+    about = {"rig": rig.model.name, "band": list(rig.model.band)}
+    _report(output, summary, log_path(sinks, out), about | watch.to_json())
     if stop.interrupted and not summary.lost_log:
         raise KeyboardInterrupt
     problem = run_failure(summary, strict, link or rig.link.url or "", stop.event.is_set(), alarms=watch.raised())
@@ -178,7 +179,9 @@ def replay(
         sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=offset_ns, recorded=True)
         sinks += naming_sinks(rig, live=False)
         summary = replay_into(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=Operator(output))
-    _report(output, summary, log_path(sinks, out), {})
+    started = None if recording.started_ns is None else utc_text(recording.started_ns)
+    about = {"log": str(log), "started": started, "rig": rig.model.name, "band": list(rig.model.band)}
+    _report(output, summary, log_path(sinks, out), about | {"rate_hz": recording.rate_hz})
     problem = replay_failure(summary, log, out)
     if problem is not None and not (stop.event.is_set() and not summary.lost_log):
         raise problem
