@@ -18,10 +18,14 @@ DEVICE_BYTES = 1 << 16  # what a device holds while nobody reads: 0.3 s
 
 
 class Cable:
-    """A pty behind a name that stays; a thread sends the device's frames at their pace while it is plugged in."""
+    """A pty behind a name that stays; a thread sends the device's frames at their pace while it is plugged in.
+
+    holds_bytes : what the device holds while nobody reads; more where a busy host must not cost samples.
+    """
 
     def __init__(self, name: Path) -> None:
         self.name = name
+        self.holds_bytes = DEVICE_BYTES
         self._device = ramp_device("serial16", seconds=None)
         self._lock = threading.Lock()
         self._ends: tuple[int, int] | None = None
@@ -62,7 +66,7 @@ class Cable:
                     held = b""  # nothing there to send it to
                     continue
                 held += b"".join(cobs.encode(frame.data) for frame in frames)
-                if len(held) > DEVICE_BYTES:  # a busy host, and a device that holds no more
-                    held = held[held.index(0, len(held) - DEVICE_BYTES) + 1 :]
+                if len(held) > self.holds_bytes:  # a busy host, and a device that holds no more
+                    held = held[held.index(0, len(held) - self.holds_bytes) + 1 :]
                 with contextlib.suppress(BlockingIOError):
                     held = held[os.write(self._ends[0], held) :]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from drivers.contract.notices import Notices
 from drivers.contract.reading import Block, Gap, Info, LinkStats, Reading
 from drivers.protocol.device_info import Expected
 from drivers.protocol.period import off_nominal
+from drivers.protocol.steady_stamps import SteadyStamps
 from drivers.protocol.time_axis import TimeAxis
 
 from .cycles import Timing
@@ -76,6 +77,7 @@ class MappedDecoder:
         self._nominal_hz = rate_hz if rate_hz is not None else expected.rate_hz if expected else None
         self._axis = TimeAxis(self._nominal_hz)
         self._recorded = recorded
+        self._steady = SteadyStamps()
         self._timing = Timing.unknown()
         self._late_ns = np.zeros(len(self.plan.messages))
         self._open: _Frames | None = None
@@ -126,6 +128,8 @@ class MappedDecoder:
         """
         self.stats.frames += len(frames)
         mine = self._mine(frames, t_host_ns, holes)
+        if not self._recorded:
+            mine = replace(mine, frames=replace(mine.frames, t_ns=self._steady.take(mine.frames.t_ns, t_host_ns)))
         if self._open is not None and len(mine):
             mine = self._open.then(mine)
         elif self._open is not None:
@@ -327,6 +331,10 @@ class MappedDecoder:
 
     def _tell_of_time(self, t_host_ns: int, final: bool) -> None:
         axis = self._axis
+        if self._steady.jumped_ns:
+            text = f"the clock that stamps the frames was set forwards by {self._steady.jumped_ns / 1e9:.3g} s"
+            self.notices.add(t_host_ns, "warning", "clock_set_forwards", f"{text}: counted on by the steady clock")
+            self._steady.jumped_ns = 0
         if axis.stepped_back:
             axis.stepped_back = 0
             self.notices.add(t_host_ns, "warning", "clock_set_back", "the time stamps of the frames went back")

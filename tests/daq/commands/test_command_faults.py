@@ -226,7 +226,7 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
 def test_a_port_that_another_session_holds_is_refused_and_costs_it_nothing(
     rig: Path, cable: Cable, tmp_path: Path, kind: str, record_property: Row
 ) -> None:
-    path = tmp_path / "a.mcap"
+    path, cable.holds_bytes = tmp_path / "a.mcap", 1 << 24
     first = run(rig, "--link", f"serial:{cable.name}", "--out", str(path))
     wait_for(path, lambda log: log.n_samples > 20_000)
     second = run(rig, "--link", f"{kind}:{cable.name}", "--out", str(tmp_path / "b.mcap"))

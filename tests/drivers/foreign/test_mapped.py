@@ -15,7 +15,7 @@ from ramp_device import Record, read_until
 from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.contract.errors import LinkError
 from drivers.contract.link_config import CanConfig
-from drivers.contract.reading import Block, LinkStats
+from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
 from drivers.foreign.mapped import MappedDecoder
 from drivers.foreign.signal_plan import Bits, compile_plan
 from drivers.links.links import make_driver
@@ -439,3 +439,28 @@ def test_frames_that_were_held_up_wait_and_the_reason_is_said() -> None:
     out = decoder.feed(CanFrames.build(frames[600:] + more), more[-1][2])
     assert sum(len(r.counts) for r in out if isinstance(r, Block)) == 700
     assert decoder.stats.lost_samples == 0
+
+
+@pytest.mark.promise(
+    "clock of the computer is set, a device without a counter on SocketCAN",
+    "the kernel's stamps leap by 0.3 s, an hour, two days, and back",
+    "no loss is invented, no index shifts, and it is said",
+)
+@pytest.mark.parametrize(
+    "jumps", [[(20, 3600.0)], [(20, 0.3)], [(20, -3600.0), (40, 3600.0)], [(20, 3600.0), (30, -2 * 86_400.0)]]
+)
+def test_stamps_of_a_clock_that_is_set_shift_nothing(jumps: list[tuple[int, float]]) -> None:
+    """An hour forwards was counted as 360 000 samples lost."""
+    decoder, out = MappedDecoder(LinkStats(), DBC, {"x": "ACS.Lateral"}, Expected(100.0)), list[Reading]()
+    rng, kept = np.random.default_rng(0), np.delete(np.arange(6000), [1000, 3500, 5000])
+    late_ns = 0
+    for k in kept.tolist():
+        late_ns = int(rng.exponential(2e-3) * 1e9) if k % 997 else 300 * MS
+        stamp = 10**18 + 10 * MS * k + sum(round(by * 1e9) for at, by in jumps if k > 100 * at)
+        frame = struct.pack("<4H", 32000 + k, 32000, 32000, 0xFFFF)
+        out += decoder.feed(CanFrames.build([(0x08F02D0B | EXTENDED_FLAG, frame, stamp)]), 10 * MS * k + late_ns)
+    assert {g.index for g in out if isinstance(g, Gap)} == {1000, 3500, 5000}
+    assert decoder.stats.lost_samples == 3
+    told = [n.code for n in out if isinstance(n, Notice)]
+    assert told.count("clock_set_forwards") == sum(by > 0 for _, by in jumps)
+    assert told.count("clock_set_back") == sum(by < 0 for _, by in jumps)
