@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from typing import Literal
 
 from estimator.arrays import Array
@@ -14,6 +15,11 @@ from .judgeable import on_judgeable_record, survey_layers
 from .record import UsableRecord
 
 Method = Literal["spectral", "fokker-planck", "score-matching"]
+_FIT_METHODS: Mapping[Method, tuple[str, str]] = {  # module and function
+    "spectral": ("batch.spectral", "fit_spectral"),
+    "fokker-planck": ("moments.fokker_planck", "fit_fokker_planck"),
+    "score-matching": ("moments.score_matching", "fit_score_matching"),
+}
 
 
 def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") -> Fit:
@@ -57,36 +63,9 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     """
 
     def fitted(usable: UsableRecord) -> Fit:
-        result = _FIT_METHODS[method](usable.model, usable.y, rate_hz)
+        module, function = _FIT_METHODS[method]
+        result: Fit = getattr(import_module(f"{__package__}.{module}"), function)(usable.model, usable.y, rate_hz)
         parameters = dict(result.parameters) | dict(usable.parameters)
         return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))
 
     return on_judgeable_record(model, y, survey_layers(model, y, rate_hz), fitted)
-
-
-def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
-    """By the path likelihood."""
-    from .batch import spectral
-
-    return spectral.fit_spectral(model, y, rate_hz)
-
-
-def _fokker_planck(model: Model, y: Array, rate_hz: float) -> Fit:
-    """By least squares on the logarithm of the histogram."""
-    from .moments import fokker_planck
-
-    return fokker_planck.fit_fokker_planck(model, y, rate_hz)
-
-
-def _score_matching(model: Model, y: Array, rate_hz: float) -> Fit:
-    """By moments of displacement and velocity."""
-    from .moments import score_matching
-
-    return score_matching.fit_score_matching(model, y, rate_hz)
-
-
-_FIT_METHODS: Mapping[str, Callable[[Model, Array, float], Fit]] = {
-    "spectral": _spectral,
-    "fokker-planck": _fokker_planck,
-    "score-matching": _score_matching,
-}

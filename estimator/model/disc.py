@@ -9,7 +9,7 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 
 from .rig import Model, Shaft
-from .rotor import shaft_at_caps, shaft_matrix
+from .rotor import SHAFT_MATRICES, shaft_matrix
 from .thresholds import LIMITS
 
 
@@ -51,7 +51,10 @@ class Disc:
 
     def _yields(self, w: Array, mean: float, caps: Array) -> Complexes:
         """(f,) m/N, mean displacement of the caps per force on both. mean : N/m that the shaft lacks."""
-        D, _ = shaft_at_caps(self.shaft, self.ks, self.cs, self.m, w)
+        k, kc = SHAFT_MATRICES[self.shaft], self.ks + 1j * w * self.cs
+        D = np.multiply.outer(kc, k[:2, :2]) - np.multiply.outer(
+            kc**2 / (k[2, 2] * kc - self.m * w**2), np.outer(k[:2, 2], k[2, :2])
+        )
         D += 0.5 * self._changed(w, self.dynamic(w) - mean)[:, None, None]
         for i, (mass, kL, c) in enumerate(caps):
             D[:, i, i] += kL + 1j * w * c - mass * w**2

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from estimator.arrays import Array
@@ -18,8 +17,6 @@ from estimator.errors import ModelError
 
 from .rig import CAP_DIRECTIONS, Model, Shaft
 from .rotor_matrices import Rotor, RotorMatrices, lumped_rotor
-
-Complex = NDArray[np.complex128]
 
 CHAIN_MATRIX: Array = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])
 BEAM_MATRIX: Array = np.array([[1.0, 1.0, -2.0], [1.0, 1.0, -2.0], [-2.0, -2.0, 4.0]])
@@ -34,39 +31,6 @@ def shaft_matrix(shaft: Shaft, stiffness: float) -> Array:
         the shaft's own damping.
     """
     return stiffness * SHAFT_MATRICES[shaft]
-
-
-def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array | Complex) -> Complex:
-    """(len(omega), n, n) of K + i w C - w^2 M, N/m; omega in rad/s, complex beside the axis of frequencies."""
-    w = np.asarray(omega)[:, None, None]
-    return np.asarray(K + 1j * w * C - w**2 * M)
-
-
-def eliminate(D: Complex, keep: list[int]) -> tuple[Complex, Complex]:
-    """Dynamic stiffness at the nodes of `keep` with no force on the others, and the others' response.
-
-    D : (f, n, n). Returns ((f, k, k) N/m, (f, n - k, k) displacement of each other node per displacement kept): exact
-    at every frequency (Schur complement).
-    """
-    rest = [i for i in range(D.shape[1]) if i not in keep]
-    follow = -np.linalg.solve(D[:, rest][:, :, rest], D[:, rest][:, :, keep])
-    return np.asarray(D[:, keep][:, :, keep] + D[:, keep][:, :, rest] @ follow), np.asarray(follow)
-
-
-def shaft_at_caps(
-    shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array | Complex
-) -> tuple[Complex, Complex]:  # fmt: skip
-    """What shaft and disc add to the dynamic stiffness of the two caps, and the disc's displacement.
-
-    disc : kg. Returns ((f, 2, 2) N/m, (f, 2) disc displacement per cap displacement). With kc = ks + i w cs:
-    D33 = 2 kc - m3 w^2 and -kc^2 / D33 between the caps for `chain`; 4 kc - m3 w^2 for `beam`.
-    """
-    if shaft == "none":
-        return np.zeros((omega.size, 2, 2), dtype=complex), np.zeros((omega.size, 2), dtype=complex)
-    C, K = shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness)
-    D = dynamic_stiffness(np.diag([0.0, 0.0, disc]), C, K, omega)
-    caps, follow = eliminate(D, [0, 1])
-    return caps, follow[:, 0, :]
 
 
 def rotor_matrices(model: Model) -> RotorMatrices | None:

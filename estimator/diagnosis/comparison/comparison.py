@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from estimator.arrays import Array
@@ -65,7 +65,7 @@ class Comparison:
             "missing_force_percent": {"value": value, "low": low, "high": high},
             "psd_distance_db": self.psd_distance_db,
             "pdf_distance": self.pdf_distance,
-            "where": [w.to_json() for w in self.where],
+            "where": [asdict(w) for w in self.where],
             "adequate": self.adequate,
             "curves": [c.to_json() for c in self.curves],
             "laws": [law.to_json() for law in self.laws],
@@ -111,11 +111,7 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     >>> compare(rig, simulate(rig, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).adequate
     True
     """
-    return _comparison(model, y, rate_hz, progress or (lambda fraction, text: None))
-
-
-def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Comparison:
-    """Fit the model, then survey, free run, twin and curves."""
+    say = progress or (lambda fraction, text: None)
     say(0.0, "fit")
     layers = survey_layers(model, y, rate_hz)
     return on_judgeable_record(model, y, layers, lambda usable: _of_usable(usable, rate_hz, say))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,14 +26,6 @@ class FailureRegion:
     against: str
     region: str
     share_percent: float
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "channel": self.channel,
-            "against": self.against,
-            "region": self.region,
-            "share_percent": self.share_percent,
-        }
 
 
 def failure_regions(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[FailureRegion, ...]:

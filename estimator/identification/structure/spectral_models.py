@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
+from estimator.effects.excitation import coloured_excitation
 from estimator.effects.excitation.pedestal import PEDESTAL
-from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
+from estimator.effects.sensor import sensor_resonance
 from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.whitening.sensor_noise import referred_psd
+from estimator.model.effect import Effect
 from estimator.results import Parameter
 
 from .thresholds import LIMITS
@@ -53,10 +54,6 @@ class SpectralCells:
     force_shape: Array
     noise_gain: Array
     others: Array
-
-    def at(self, keep: NDArray[np.bool_]) -> SpectralCells:
-        """The cells where keep (cells,) is true."""
-        return SpectralCells(**{f.name: getattr(self, f.name)[..., keep] for f in fields(self)})
 
     def tangent(self, u: Array) -> NDArray[np.complex128]:
         """Tangent with the changes u[2:4] of stiffness and damping; u may be (numbers, m, 1) for (m, cells) at once."""
@@ -144,10 +141,8 @@ class SpectralShape:
 
     Attributes
     ----------
-    effect : str
-        Name in the catalogue.
-    names, units : tuple of str
-        Of its parameters.
+    effect : Effect
+        Of the catalogue, with the names and units of its parameters.
     starts : tuple of tuple of float
         Points z from which searches start.
     model : callable
@@ -158,9 +153,7 @@ class SpectralShape:
         Damping that searches are also started without, N s/m.
     """
 
-    effect: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    effect: Effect
     starts: tuple[tuple[float, ...], ...]
     model: Callable[[SpectralCells, Array], Array]
     values: Callable[[Array], Array]
@@ -173,18 +166,8 @@ def _coloured_shape(place_peak: float) -> SpectralShape:
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], -6, 7)) - LIMITS.max_dimming_share, np.exp(np.clip(z[1], 2, 12))])
 
-    def model(c: SpectralCells, u: Array) -> Array:
-        return c.spectrum(u, c.tangent(u), coloured_power(c.w / (2 * np.pi), *values(u[4:])))
-
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
-    return SpectralShape(
-        effect=COLOURED_EXCITATION.name,
-        names=("gain", "corner"),
-        units=("1", "Hz"),
-        starts=starts,
-        model=model,
-        values=values,
-    )
+    return _factor_shape(coloured_excitation.COLOURED_EXCITATION, coloured_excitation.shape, values, starts)
 
 
 def _resonance_shape(top: float) -> SpectralShape:
@@ -193,34 +176,20 @@ def _resonance_shape(top: float) -> SpectralShape:
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
-    def model(c: SpectralCells, u: Array) -> Array:
-        return c.spectrum(u, c.tangent(u), resonant_power(c.w / (2 * np.pi), *values(u[4:])))
-
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
-    return SpectralShape(
-        effect=SENSOR_RESONANCE.name,
-        names=("frequency", "quality"),
-        units=("Hz", "1"),
-        starts=starts,
-        model=model,
-        values=values,
-    )
+    return _factor_shape(sensor_resonance.SENSOR_RESONANCE, sensor_resonance.spectral_factor, values, starts)
 
 
-def coloured_power(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
-    """Power of a shaped excitation at f_hz over that far above its corner."""
-    return np.asarray(1 + gain / (1 + (f_hz / corner) ** 2))
+def _factor_shape(
+    effect: Effect, factor: Callable[..., Array], values: Callable[[Array], Array],
+    starts: tuple[tuple[float, ...], ...],
+) -> SpectralShape:  # fmt: skip
+    """A cause that multiplies the spectrum of the force by a factor of (Hz, parameters)."""
 
+    def model(c: SpectralCells, u: Array) -> Array:
+        return c.spectrum(u, c.tangent(u), factor(c.w / (2 * np.pi), values(u[4:])))
 
-def resonant_power(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
-    """Power that a sensor resonance multiplies the signal's by at f_hz."""
-    r2 = (f_hz / f0) ** 2
-    return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
-
-
-def pedestal_starts(peak_hz: float) -> tuple[tuple[float, ...], ...]:
-    """Points of the search from which it starts, for a resonance of the cap at peak_hz."""
-    return tuple((m, float(np.log(peak_hz * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
+    return SpectralShape(effect=effect, starts=starts, model=model, values=values)
 
 
 def pedestal_values(z: Array, cap_mass: float) -> Array:
@@ -257,16 +226,9 @@ def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralS
         lost = stiffness_lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
-    names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
-    return SpectralShape(
-        effect=PEDESTAL.name,
-        names=names,
-        units=units,
-        starts=pedestal_starts(peak),
-        model=model,
-        values=values,
-        idle=LIMITS.broadened_damping_share * c0,
-    )
+    starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
+    idle = LIMITS.broadened_damping_share * c0
+    return SpectralShape(effect=PEDESTAL, starts=starts, model=model, values=values, idle=idle)
 
 
 def deviance_residuals(root: Array, ratio: Array) -> Array:
@@ -343,7 +305,7 @@ def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float
 
     Gain and corner are fitted to the same spectrum, so S is far more uncertain than its number of bins suggests.
     """
-    own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
+    own = coloured_excitation.shape(point.data.f_hz, (gain, corner))
     flat = replace(point, data=replace(point.data, excitation_shape=point.data.excitation_shape / own))
     c, shape = cells_of(flat, i), _coloured_shape(resonance_hz(point, i))
     _, u, scale = fit_base_model(flat, i, c)
@@ -367,4 +329,4 @@ def fit_shape(c: SpectralCells, shape: SpectralShape, u: Array, scale: Array) ->
     starts = [np.concatenate([begun, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
-    return _max_likelihood(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
+    return _max_likelihood(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.effect.parameters), 0.3)]))

@@ -104,27 +104,27 @@ def _shape_findings(
     r = c.power / base_model(c, u)
     predictable = _predictable_power(point, i, c, r)
     for shape in spectral_causes(point, i):
-        if shape.effect in taken:
+        if shape.effect.name in taken:
             continue
         found, z, sd = fit_shape(c, shape, u, scale)
         gain = found - level
         if gain < LIMITS.min_explained_share * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == PEDESTAL.name and (pedestal_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
+        if shape.effect is PEDESTAL and (pedestal_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
             continue
-        q = len(shape.names)
+        q = len(shape.effect.parameters)
         values = shape.values(z[4:])
         spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
         settings = {
-            n: replace(Parameter.from_estimate(float(v), float(s), unit), value=float(v), sd=float(s))
-            for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
+            own.name: replace(Parameter.from_estimate(float(v), float(s), own.unit), value=float(v), sd=float(s))
+            for own, v, s in zip(shape.effect.parameters, values, spread, strict=True)
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
         falls_only = values[0] > data.band[1] and values[1] < LIMITS.min_peak_quality
-        no_peak = shape.effect == SENSOR_RESONANCE.name and falls_only
+        no_peak = shape.effect is SENSOR_RESONANCE and falls_only
         out.append(
             Finding(
-                effect=shape.effect,
+                effect=shape.effect.name,
                 at=(place,),
                 gain_nats=gain,
                 dof=q + 2,

@@ -45,11 +45,12 @@ class MeanResponse:
         return np.interp(f_hz, f, z.real) + 1j * (np.interp(f_hz, f, z.imag) + 2 * np.pi * f_hz * self.tangent)
 
 
-def memory_force(
-    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: StepResponses | None = None
-) -> Array:  # fmt: skip
-    """Force (n,) N along a path, states from rest. lin : (3,) m, kL, c. mean : accumulates step responses; or None."""
+def memory_force_and_response(
+    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
+) -> tuple[Array, MeanResponse]:
+    """Force (n,) N along a path, states from rest, and its mean response. lin : (3,) m, kL, c."""
     n, rate = x.size, LIMITS.memory_grid_factor * rate_hz
+    mean = StepResponses(x, v, 1.0 / rate)
     out, start = np.empty(n), np.zeros(effect.states)
     fast, stride = (
         reads_motion(effect, p, lin)[1],
@@ -60,21 +61,13 @@ def memory_force(
         rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1)
         fine = interpolated(x[rows], LIMITS.memory_grid_factor)
         speed = interpolated(v[rows], LIMITS.memory_grid_factor) if fast else np.zeros_like(fine)
-        stepped = mean is not None and a // LIMITS.memory_rows_per_piece % stride == 0
+        stepped = a // LIMITS.memory_rows_per_piece % stride == 0
         force, states, about = force_along_path(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
         start = states[(b - a) * LIMITS.memory_grid_factor].copy()  # where the next piece begins
         out[a:b] = decimated(force, LIMITS.memory_grid_factor)
-        if mean is not None and about is not None:
+        if about is not None:
             mean.add(about)
-    return out
-
-
-def memory_force_and_response(
-    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
-) -> tuple[Array, MeanResponse]:
-    """Force (n,) N along a path, states from rest, and its mean response. lin : (3,) m, kL, c."""
-    mean = StepResponses(x, v, 1.0 / (LIMITS.memory_grid_factor * rate_hz))
-    return memory_force(effect, p, lin, x, v, rate_hz, mean), mean.response()
+    return out, mean.response()
 
 
 class StepResponses:

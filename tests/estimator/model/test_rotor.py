@@ -9,14 +9,7 @@ from scipy.linalg import eigh
 
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.model.rotor import (
-    assemble,
-    dynamic_stiffness,
-    linear_covariance,
-    propagator,
-    shaft_at_caps,
-    shaft_matrix,
-)
+from estimator.model.rotor import assemble, linear_covariance, propagator, rotor_of, shaft_matrix
 from estimator.simulation.start import stationarity
 
 PAPER_MASS = np.diag([0.245, 0.22, 0.515])
@@ -70,21 +63,23 @@ def test_chain_and_beam_are_three_nodes_of_the_general_shaft() -> None:
 def test_disc_elimination_is_exact(shaft: str, factor: float) -> None:
     w = 2 * np.pi * np.array([0.0, 35.0, 120.0, 1100.0, 8000.0])
     ks, cs, m3 = 155e3, 0.5, 0.515
-    caps, disc = shaft_at_caps(shaft, ks, cs, m3, w)  # type: ignore[arg-type]
-    full = dynamic_stiffness(np.diag([0, 0, m3]), shaft_matrix(shaft, cs), shaft_matrix(shaft, ks), w)  # type: ignore[arg-type]
+    rig = small_rig(shaft)
+    rotor = rotor_of(rig)
+    assert rotor is not None
+    x = [rig.places.index(p) for p in ("bearing1.x", "bearing2.x")]
+    caps, disc = rotor.dynamic(w)[:, x][:, :, x], rotor.follows("disc.x", w)[:, x]
+    full = np.multiply.outer(ks + 1j * w * cs, shaft_matrix(shaft, 1.0)) - np.multiply.outer(w**2, np.diag([0, 0, m3]))  # type: ignore[arg-type]
     for f in range(w.size):
-        x = np.array([1.0, -0.3])
-        x3 = disc[f] @ x
-        force = full[f] @ np.array([*x, x3])
+        moved = np.array([1.0, -0.3])
+        force = full[f] @ np.array([*moved, disc[f] @ moved])
         assert force[2] == pytest.approx(0.0, abs=1e-6 * ks)
-        assert force[:2] == pytest.approx(caps[f] @ x, rel=1e-9)
+        assert force[:2] == pytest.approx(caps[f] @ moved, rel=1e-9, abs=1e-9 * ks)
     kc = ks + 1j * w * cs
     if shaft == "chain":
         assert caps[:, 0, 1] == pytest.approx(-(kc**2) / (factor * kc - m3 * w**2))
         assert caps[0] == pytest.approx(ks / 2 * np.array([[1, -1], [-1, 1]]))  # what is left at zero frequency
     else:
         assert np.abs(caps[0]).max() < 1e-6 * ks
-    assert not shaft_at_caps("none", ks, cs, m3, w)[0].any()
 
 
 def test_linear_covariance_against_the_integral_of_the_response() -> None:
@@ -95,7 +90,7 @@ def test_linear_covariance_against_the_integral_of_the_response() -> None:
     M, C, K = (A[np.ix_(keep, keep)] for A in (rig.M, rig.C, rig.K))
 
     def power(w: float) -> np.ndarray:
-        H = np.linalg.inv(dynamic_stiffness(M, C, K, np.array([w]))[0])
+        H = np.linalg.inv(K + 1j * w * C - w**2 * M)
         return np.real(H @ Q[:3, :3] @ H.conj().T) / np.pi
 
     peaks = np.sqrt(eigh(K, M, eigvals_only=True))
