@@ -2,6 +2,6 @@
 
 from .shaft_speed import ShaftSpeed
 from .simulator import Simulator, simulate
-from .start import Stationarity, stationarity
+from .stepper import Stationarity, stationarity
 
 __all__ = ["ShaftSpeed", "Simulator", "Stationarity", "simulate", "stationarity"]

@@ -16,41 +16,33 @@ from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
 
-from .curves import Law, curves
-from .failure_map import FailureRegion, failure_regions
+from .curves import FailureRegion, Law, Shape, curves, failure_regions
 from .heldout import heldout_nll, heldout_rmse, reference_nll
-from .shape import Shape
 from .survey import survey_bearing
-from .twin import twin
+from .twin import Twin, twin
 
 Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class Comparison(Twin):
     """A fitted model against the measurement. Forces, states and spectra in SI.
 
     heldout_nll : negative log-likelihood of held-out data, nats per sample. reference_nll : of a black box. missing :
-    missing force, value and 95 % limits, per cent of the rms bearing force. psd_distance_db, pdf_distance : by channel,
-    of a simulated twin. where : regions of the states in which the model fails, largest share first. adequate : whether
-    nothing predictable is left. curves : residual force against the states of every channel. laws : restoring force,
-    measured and of the model. spectra, densities, orbits : of measurement and twin, by channel. parameters : by full
-    name. simulation_rmse : by channel, of a free run; empty unless a force is measured at every place. messages : for
-    the user.
+    missing force, value and 95 % limits, per cent of the rms bearing force. where : regions of the states in which the
+    model fails, largest share first. adequate : whether nothing predictable is left. curves : residual force against
+    the states of every channel. laws : restoring force, measured and of the model. parameters : by full name.
+    simulation_rmse : by channel, of a free run; empty unless a force is measured at every place. messages : for the
+    user. Further fields are those of the simulated twin.
     """
 
     heldout_nll: float
     reference_nll: float
     missing: tuple[float, float, float]
-    psd_distance_db: dict[str, float]
-    pdf_distance: dict[str, float]
     where: tuple[FailureRegion, ...]
     adequate: bool
     curves: tuple[Shape, ...] = ()
     laws: tuple[Law, ...] = ()
-    spectra: dict[str, Any] = field(default_factory=dict)
-    densities: dict[str, Any] = field(default_factory=dict)
-    orbits: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, Parameter] = field(default_factory=dict)
     simulation_rmse: dict[str, float] = field(default_factory=dict)
     messages: tuple[Message, ...] = ()
@@ -141,15 +133,10 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
         heldout_nll=nll,
         reference_nll=reference,
         missing=found.interval(),
-        psd_distance_db=beside.psd_distance_db,
-        pdf_distance=beside.pdf_distance,
         where=where,
         adequate=survey.adequate,
         curves=drawn,
         laws=laws,
-        spectra=beside.spectra,
-        densities=beside.densities,
-        orbits=beside.orbits,
         parameters=whole.parameters | dict(usable.parameters),
         simulation_rmse=rmse,
         messages=(
@@ -158,4 +145,5 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
             *(() if survey.inconclusive is None else (survey.inconclusive,)),
             *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
+        **asdict(beside),
     )

@@ -4,11 +4,16 @@ Two kinds, both from the joint fit of the model's own parameters and of smooth c
 Residual: what the model leaves over, freed from what its own parameters could take over. Law: the whole restoring
 force, model and residual together, freed from a straight line. The residual of a dead zone under a fitted cubic looks
 like a high polynomial; its law is flat in the middle with straight flanks, and is known far better than its parts.
+
+The smooth curve of the residual force against a state: what a person needs to see of an unknown law.
+
+The map of where a model fails: channel by state, the region in words, the share of the missing force.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +27,82 @@ from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-from .shape import Shape, limits_95
 from .thresholds import LIMITS
+
+
+def limits_95(value: Array, sd: Array) -> tuple[Array, Array]:
+    """Lower and upper 95 % limits of values with these standard deviations."""
+    return value - 1.96 * sd, value + 1.96 * sd
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """Residual restoring force against a state, without the part that kL and c can take over.
+
+    channel : name or place. against : the state. at : (n,) values of the state, SI. force : (n,) N. band_low,
+    band_high : (n,) N, 95 % limits.
+    """
+
+    channel: str
+    against: str
+    at: Array
+    force: Array
+    band_low: Array
+    band_high: Array
+
+    @classmethod
+    def from_estimate(cls, channel: str, against: str, at: Array, force: Array, sd: Array) -> Shape:
+        """The curve of a force (n,) N with its standard deviation (n,) N."""
+        low, high = limits_95(force, sd)
+        return cls(channel=channel, against=against, at=at, force=force, band_low=low, band_high=high)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "channel": self.channel,
+            "against": self.against,
+            **{k: [float(z) for z in getattr(self, k)] for k in ("at", "force", "band_low", "band_high")},
+        }
+
+
+def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str) -> Shape:
+    """The fitted hat functions of one state ("displacement" or "velocity") as a curve, without its straight line."""
+    knots = residual.knots[group]
+    i = residual.place
+    names = [f"{group}.{k}" for k in range(len(knots))]
+    # where other states are found too, their part is taken out by the joint fit
+    fit = residual.fit if names[0] in residual.fit.names else fit_with_ridge(residual.pool.only(tuple(names)))
+    at = np.array([fit.names.index(n) for n in names])
+    scales = fit.scales[at]
+    # the force that the model lacks is added to the restoring side with the sign of delta
+    force, cov = fit.delta[at] * scales, fit.covariance[np.ix_(at, at)] * np.multiply.outer(scales, scales)
+    state = point.data.x[i] if group == "displacement" else point.data.v[i]
+    rms = float(state.std())
+    inside = np.abs(knots) <= min(3.5 * rms, float(np.quantile(np.abs(state), 0.999)))
+    weight = np.exp(-0.5 * (knots / rms) ** 2)
+    D = np.stack([np.ones_like(knots), knots / rms], axis=1)
+    free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
+    force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
+    at_knots, force, sd = knots[inside], force[inside], sd[inside]
+    return Shape.from_estimate(channel, group, at_knots, force=force, sd=sd)
+
+
+def missing_force_curve(
+    point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str] | None = None
+) -> Shape | None:
+    """The curve against the state that explains most, where it is one of displacement or velocity.
+
+    otherwise : place and state to draw if the survey alone finds neither.
+    """
+    best = [
+        (f.gain_nats, r, f.group) for r in found.residuals for f in r.found if f.group in ("displacement", "velocity")
+    ]
+    if not best and otherwise is not None:
+        best = [(0.0, r, otherwise[1]) for r in found.residuals if r.place == otherwise[0]]
+    if not best:
+        return None
+    _, residual, group = max(best, key=lambda z: z[0])
+    return state_curve(point, residual, group, point.data.places[residual.place])
+
 
 CURVE_STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
 ANGLES_DEG = np.arange(0.0, 361.0, 15.0)
@@ -191,3 +270,80 @@ def _against_other(fit: PathFit, names: list[str], group: black_box.RegressorGro
     inside = np.abs(knots) <= min(3.0 * rms, float(np.quantile(np.abs(z), 0.9995)))
     inside &= visits > 0
     return _linear(fit, names, A[inside], knots[inside], channel, "other_direction")
+
+
+SI_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
+
+
+@dataclass(frozen=True, slots=True)
+class FailureRegion:
+    """Where a model fails.
+
+    channel : name. against : state or "frequency", "time", ... that the missing force depends on. region : in words and
+    units. share_percent : of the power of the missing force.
+    """
+
+    channel: str
+    against: str
+    region: str
+    share_percent: float
+
+
+def failure_regions(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[FailureRegion, ...]:
+    """Every state found, largest share first."""
+    total = sum(f.power_N2 for r in found.residuals for f in r.found) + sum(s.power_N2 for s in found.disturbances)
+    out = [
+        FailureRegion(
+            channel[point.data.places[r.place]], f.group, region_text(point, r, f.group), 100 * f.power_N2 / total
+        )
+        for r in found.residuals
+        for f in r.found
+        if total > 0
+    ]
+    out += [
+        FailureRegion(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total)
+        for s in found.disturbances
+    ]
+    return tuple(sorted(out, key=lambda w: -w.share_percent))
+
+
+def region_text(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
+    """Where in the state the missing force sits, in words and units."""
+    data, i = point.data, residual.place
+    if group in ("displacement", "velocity"):
+        unit = "m" if group == "displacement" else "m/s"
+        state = data.x[i] if group == "displacement" else data.v[i]
+        c = state_curve(point, residual, group, "")
+        density = np.histogram(state, np.append(c.at, 2 * c.at[-1] - c.at[-2]) - 0.5 * (c.at[1] - c.at[0]))[0]
+        weight = c.force**2 * density
+        return _stretches(c.at, weight, unit)
+    other = data.other(i)
+    opposite = data.opposite(i)
+    return {
+        "level": "grows or falls with the vibration level",
+        "other_direction": f"follows {data.places[other]}" if other is not None else "other direction",
+        "other_bearing": f"follows {data.places[opposite]}" if opposite is not None else "other bearing",
+        "time": f"drifts over the {data.seconds:.0f} s of the record",
+        "shaft_angle": "varies with the shaft angle",
+    }.get(group, group)
+
+
+def _round(value: float) -> str:
+    """Two figures, without a power of ten."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
+    """The stretches that hold 70 % of the weight."""
+    order = np.argsort(-weight)
+    enough = int(np.searchsorted(np.cumsum(weight[order]), 0.7 * weight.sum())) + 1
+    inside = np.zeros(at.size, bool)
+    inside[order[:enough]] = True
+    step = 0.5 * (at[1] - at[0])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
+    factor, prefix = next((f, p) for f, p in SI_PREFIXES if np.abs(at).max() >= f or f == SI_PREFIXES[-1][0])
+    parts = [
+        f"{_round((at[a] - step) / factor)} to {_round((at[b - 1] + step) / factor)}"
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return " and ".join(parts) + f" {prefix}{unit}"

@@ -32,7 +32,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
         return {}
     from estimator.identification.batch.full_fit import fit_all_effects
 
-    from .free_run import simulation_rmse
+    from .twin import simulation_rmse
 
     try:
         found = fit_all_effects(model, y[: int(FITTED_SHARE * len(y))], rate_hz)

@@ -22,9 +22,16 @@ from estimator.likelihood.motion.located_law import (
     searched_parameters,
     start_value,
 )
-from estimator.likelihood.path.law_gain import LawGain, base_fit, fitted_gain, independent_regressors
 from estimator.likelihood.path.path_fit import PathFit
-from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subproblem
+from estimator.likelihood.path.subproblem import (
+    LawGain,
+    Subproblem,
+    base_fit,
+    fitted_gain,
+    heldout_gain,
+    independent_regressors,
+    subproblem,
+)
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.effect import Effect
@@ -133,15 +140,8 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
     for k, q in enumerate(effect.parameters):
         if q.linear:
             p[k] = values.get(q.name, (0.0, 0.0))[0]
-    placed = LocatedLaw(
-        effect=effect,
-        key=placed.key,
-        at=placed.at,
-        p=p,
-        free=tuple(
-            (q.linear and (q.share > 0.0 or q.name in values)) or k in loose for k, q in enumerate(effect.parameters)
-        ),
-    )
+    free = [(q.linear and (q.share > 0.0 or q.name in values)) or k in loose for k, q in enumerate(effect.parameters)]
+    placed = replace(placed, p=p, free=tuple(free))
     df = max(len(problem.extra) + len(loose), 1)
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
         turning = [value / sd for name, (value, sd) in values.items() if name.endswith(SHAFT_ANGLE_SUFFIXES)]
@@ -208,9 +208,7 @@ def repeated_trial(point: WorkingPoint, model: Model, found: Trial) -> Trial | N
     """A trial fitted again on another part of the record, at the searched parameters found; None if it cannot be."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
-    placed = LocatedLaw(
-        effect=found.effect, key=found.placed.key, at=found.placed.at, p=p, free=_amplitudes(found.effect, point)
-    )
+    placed = replace(found.placed, p=p, free=_amplitudes(found.effect, point))
     got = fitted_gain(point, placed)
     if got is None:
         return None

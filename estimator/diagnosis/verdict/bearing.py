@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.shape import Shape, missing_force_curve
+from estimator.diagnosis.comparison.curves import Shape, missing_force_curve
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
@@ -28,8 +28,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, messages_json
 
-from .gates import Context, judged
-from .joint_fit import left_of_own_state
+from .gates import Context, judged, left_of_own_state
 from .mistake import explaining_mistake
 
 CAPS_COUPLED = Message(

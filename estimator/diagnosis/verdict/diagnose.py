@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.shape import Shape
+from estimator.diagnosis.comparison.curves import Shape
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -24,13 +24,13 @@ from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
 from .bearing import BearingJudgement, judge_bearing, judged_mistake, quiet
-from .clipped import with_clipped_channels
 from .signal_findings import (
     line_entries,
     rig_file_entry,
     signal_entries,
     tones_of_surroundings,
     whole_order_messages,
+    with_clipped_channels,
 )
 
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before

@@ -1,12 +1,16 @@
-"""Effects that tones and strike trains show by themselves, without a model of the bearings."""
+"""Effects that tones and strike trains show by themselves, without a model of the bearings.
+
+The verdict on a record of which a sensor clips.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
@@ -16,6 +20,7 @@ from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
+from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.machine import (
     RATE_CONTRADICTED,
     RECORD_SOURCE,
@@ -24,11 +29,12 @@ from estimator.identification.machine import (
     StrikeTrain,
     Tone,
 )
-from estimator.identification.record import RecordSurvey
+from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import RIG_FILE, Message, Parameter
 
+from .bearing import BearingJudgement
 from .mistake import mistake_entry
 
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
@@ -90,7 +96,7 @@ def signal_use(model: Model, entry: Entry) -> EffectUse:
     return EffectUse(name, {place: dict(known) for place in at})
 
 
-def strike_entries(model: Model, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS) -> list[Entry]:
+def strike_entries(model: Model, machine: MachineSurvey) -> list[Entry]:
     """Candidates for a defect of the bearing, clearest first: significant strike trains at a kinematic order.
 
     Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft. A model
@@ -100,16 +106,16 @@ def strike_entries(model: Model, machine: MachineSurvey, limits: Thresholds = MA
     out = []
     for train in machine.strikes:
         named = (train.name != NO_KINEMATIC_NAME or model.bearing is None) and train.name not in known
-        if train.p_value <= limits.max_p_value and named and not is_whole_order(train, limits):
+        if train.p_value <= MACHINE_THRESHOLDS.max_p_value and named and not is_whole_order(train):
             out.append(_strike_entry(model, machine, train))
     return out
 
 
-def is_whole_order(train: StrikeTrain, limits: Thresholds = MACHINE_THRESHOLDS) -> bool:
+def is_whole_order(train: StrikeTrain) -> bool:
     """Whether impacts repeat a whole number of times per turn."""
     if train.order is None or train.name != NO_KINEMATIC_NAME:
         return False
-    return abs(train.order - round(train.order)) <= limits.whole_order_tolerance and round(train.order) > 0
+    return abs(train.order - round(train.order)) <= MACHINE_THRESHOLDS.whole_order_tolerance and round(train.order) > 0
 
 
 def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> Entry:
@@ -123,9 +129,7 @@ def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> E
     return _entry(LOCAL_DEFECT.name, place, train.p_value, parameters)
 
 
-def shaft_entries(
-    model: Model, record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
-) -> list[Entry]:
+def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
     """Imbalance or misalignment, where the first two harmonics of the shaft dominate a vibration that is too large."""
     best: tuple[float, str, float] | None = None
     for channel in model.channels:
@@ -134,19 +138,17 @@ def shaft_entries(
         v = float(np.hypot(v1, v2))
         summary = record.channels.get(channel.name)
         whole = None if summary is None else summary.velocity_rms_mm_s
-        dominant = whole is None or v**2 >= limits.min_dominance * (1e-3 * whole) ** 2
-        if v >= limits.min_velocity_m_s and dominant and (best is None or v > best[0]):
+        dominant = whole is None or v**2 >= MACHINE_THRESHOLDS.min_dominance * (1e-3 * whole) ** 2
+        if v >= MACHINE_THRESHOLDS.min_velocity_m_s and dominant and (best is None or v > best[0]):
             ratio = v2 / v1 if v1 else np.inf
-            name = MISALIGNMENT.name if ratio >= limits.min_second_harmonic_ratio else IMBALANCE.name
+            name = MISALIGNMENT.name if ratio >= MACHINE_THRESHOLDS.min_second_harmonic_ratio else IMBALANCE.name
             p = min(tone.p_value for tone in (first, second) if tone is not None)
             best = v, channel.name, p
             entry = _entry(name, _place(model, channel.name), p, {})
     return [] if best is None else [entry]
 
 
-def line_entries(
-    model: Model, record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
-) -> list[Entry]:
+def line_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
     """Lines that hold a large share of the power of a channel, the largest first. 1X and 2X are of every shaft."""
     shares = [
         (amplitude**2 / 2.0 / rms**2, tone, name)
@@ -155,7 +157,7 @@ def line_entries(
         for name, amplitude in tone.amplitude.items()
         if name in record.channels and (rms := record.channels[name].rms)
     ]
-    large = sorted((s for s in shares if s[0] >= limits.min_line_power_share), key=lambda s: -s[0])[:1]
+    large = sorted((s for s in shares if s[0] >= MACHINE_THRESHOLDS.min_line_power_share), key=lambda s: -s[0])[:1]
     out = []
     for _, tone, name in large:
         place = _place(model, name)
@@ -164,9 +166,7 @@ def line_entries(
     return out
 
 
-def tones_of_surroundings(
-    record: RecordSurvey, machine: MachineSurvey, limits: Thresholds = MACHINE_THRESHOLDS
-) -> frozenset[str]:
+def tones_of_surroundings(record: RecordSurvey, machine: MachineSurvey) -> frozenset[str]:
     """Periodic forces that are not named beside an adequate model, as tones of the surroundings are in the record.
 
     Lines of the mains show that a record holds tones of its surroundings. A weak 1X or 2X is one of them: imbalance and
@@ -175,7 +175,7 @@ def tones_of_surroundings(
     if all(tone.kind != "mains" for tone in machine.tones):
         return frozenset()
     unexplained = any(
-        amplitude**2 / 2.0 >= limits.min_unexplained_power_share * rms**2
+        amplitude**2 / 2.0 >= MACHINE_THRESHOLDS.min_unexplained_power_share * rms**2
         for tone in machine.tones
         if tone.kind == "other"
         for name, amplitude in tone.amplitude.items()
@@ -239,3 +239,49 @@ def _entry(effect: str, place: str, p_value: float, parameters: dict[str, Parame
         effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value, before_percent=0.0,
         after_percent=0.0, parameters=parameters, score=nats,
     )  # fmt: skip
+
+
+def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, survey: RecordSurvey) -> BearingJudgement:
+    """The judgement with the clipped channels that the model does not know, named where no law is.
+
+    Parameters
+    ----------
+    found : BearingJudgement
+        Of the other channels.
+    model : Model
+        The rig with all channels.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``.
+    survey : RecordSurvey
+        What the record layer says of them.
+    """
+    known = {at for use in model.effects if use.name == SENSOR_CLIPPING.name for at in use.parameters}
+    texts = {f.channels[0]: f for f in survey.findings if f.code == CLIPPED_CODE}
+    new = [
+        (channel, clipping_level(y[:, k]))
+        for k, channel in enumerate(model.channels)
+        if channel.name in texts and not known.intersection((channel.place, channel.node))
+    ]
+    clipped = [(channel, level) for channel, level in new if level is not None]
+    if not clipped:
+        return found
+    settings = {channel.place: {"level": level_parameter(level, channel.kind)} for channel, level in clipped}
+    counts = [count for _, (_, count) in clipped]
+    entry = Entry(
+        effect=SENSOR_CLIPPING.name,
+        at=tuple(dict.fromkeys(place.split(".")[0] for place in settings)),
+        gain=float(sum(counts)),
+        heldout_gain=float(sum(counts) - len(counts)),
+        p_value=min(map(pileup_p_value, counts)),
+        before_percent=0.0,
+        after_percent=0.0,
+        parameters={
+            f"{place}.{SENSOR_CLIPPING.name}.{name}": p for place, own in settings.items() for name, p in own.items()
+        },
+        score=np.inf,
+        settings={SENSOR_CLIPPING.name: settings},
+        notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
+    )
+    if found.verdict in ("complete", "unknown"):
+        return replace(found, verdict=entry.effect, ranking=(entry, *found.ranking), separates="")
+    return replace(found, ranking=(found.ranking[0], entry, *found.ranking[1:]))

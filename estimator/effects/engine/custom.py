@@ -96,8 +96,7 @@ def custom_effect(use: EffectUse) -> Effect:
     marked = tuple(
         _with_limits(q, s) if k in linear else q for k, (q, s) in enumerate(zip(parameters, given, strict=True))
     )
-    fields = {f: getattr(effect, f) for f in Effect.__dataclass_fields__}
-    return Effect(**{**fields, "parameters": marked})
+    return replace(effect, parameters=marked)
 
 
 def _loaded(use: EffectUse, effect: Effect) -> Effect:

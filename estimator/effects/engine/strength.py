@@ -115,13 +115,13 @@ def defaults(effect: Effect, at: Size, model: Model | None = None) -> NDArray[np
     return np.array(out, dtype=np.float64)
 
 
-def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0, seed: int = 0) -> float:
+def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0) -> float:
     """Rms of an effect's force, N, over Gaussian independent x, v of both directions, times and shaft angles.
 
     A memory effect is driven by a harmonic of the rig's own frequency and rms. An effect on disc or shaft is taken at
     the cap's motion: only its order of size is meant.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     if effect.kind == "memory":
         w = np.sqrt(at.kL / at.m)
         rate = 100.0 * w / (2 * np.pi)

@@ -17,7 +17,7 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import motion_channels
+from estimator.likelihood.motion.known_spectra import motion_channels
 from estimator.likelihood.motion.prepare import check_moves, check_shape
 from estimator.model.rig import Model
 from estimator.results import Estimate, Fit, Message, Parameter

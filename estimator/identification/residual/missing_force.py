@@ -219,10 +219,6 @@ class MissingForce:
         """Indices of locations whose residual force follows a state."""
         return tuple(r.place for r in self.residuals if r.found)
 
-    def percent(self, point: WorkingPoint, places: tuple[int, ...] | None = None) -> float:
-        """Rms of the missing force, per cent of the rms bearing force, over all locations or some."""
-        return self.interval(places)[0]
-
     def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
         """Rms of the missing force and its 95 % limits, per cent of the rms bearing force.
 

@@ -17,12 +17,11 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from estimator.arrays import Array, Complexes, products
 from estimator.model.background import ModeForm, StructuralMode
 
-from .cross_spectra import CrossSpectra, Work
+from .excitation import CrossSpectra, Work, spline_basis
 from .thresholds import LIMITS
 
 # in cap masses: a lighter support, or a heavier part on the cap, is a rotor of its own
@@ -387,7 +386,4 @@ def _spline_basis(x: Array, octaves: float) -> Array:
     pieces = int((x[-1] - x[0]) / np.log(2.0) / octaves)
     if pieces < 1:
         return np.ones((x.size, 1))
-    degree = min(LIMITS.spline_degree, pieces)
-    inner = np.linspace(x[0], x[-1], pieces + 1)
-    knots = np.concatenate([[inner[0]] * degree, inner, [inner[-1]] * degree])
-    return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, degree).toarray())
+    return spline_basis(x, pieces, min(LIMITS.spline_degree, pieces))

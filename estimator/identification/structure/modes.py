@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 from scipy.special import chdtri
 
 from estimator.arrays import Array
 
-from .excitation import CellSpectrum
+from .excitation import CellSpectrum, spline_basis
 from .thresholds import LIMITS
 
 
@@ -30,8 +29,8 @@ class OscillatorFit:
 
     Parameters
     ----------
-    f_hz, damping, weight : (modes,) float64
-        Frequency, damping ratio, and squared participation; the first weight is 1.
+    f_hz, damping : (modes,) float64
+        Frequency and damping ratio.
     f_sd_hz, damping_sd : (modes,) float64
         Standard deviations.
     prominence : (modes,) float64
@@ -42,10 +41,6 @@ class OscillatorFit:
         PSD of the fit.
     force : (cells,) float64
         exp(P): PSD of the force over the squared mass, (m/s^2)^2/Hz.
-    log_likelihood : float
-        Nats.
-    dispersion : float
-        Variance of the blocks of the spectrum about their mean over that of a stationary Gaussian record.
     knot_octaves : float
         Distance of the knots of P.
     misfit_db : float
@@ -54,15 +49,12 @@ class OscillatorFit:
 
     f_hz: Array
     damping: Array
-    weight: Array
     f_sd_hz: Array
     damping_sd: Array
     prominence: Array
     energy: Array
     model: Array
     force: Array
-    log_likelihood: float
-    dispersion: float
     knot_octaves: float
     misfit_db: float
 
@@ -86,7 +78,7 @@ class _Problem:
         self.P = cells.psd / self.scale
         x = np.log(cells.f_hz)
         self.x = x
-        self.basis = _spline_basis(x, knot_octaves)
+        self.basis = spline_basis(x, max(1, int((x[-1] - x[0]) / np.log(2.0) / knot_octaves + 0.5)), 3)
         B = cells.block_psd / cells.block_psd.mean(axis=0)
         n_blocks = len(B)
         own = np.mean((B - 1.0) ** 2) * n_blocks / max(n_blocks - 1, 1)
@@ -227,22 +219,13 @@ class _Problem:
         return np.asarray(C * np.outer(grow, grow), dtype=np.float64)
 
 
-def _spline_basis(x: Array, knot_octaves: float) -> Array:
-    """(cells, k) cubic B-splines of ln f with uniform knots."""
-    pieces = max(1, int((x[-1] - x[0]) / np.log(2.0) / knot_octaves + 0.5))
-    inner = np.linspace(x[0], x[-1], pieces + 1)
-    knots = np.concatenate([[x[0]] * 3, inner, [x[-1] + 1e-9] * 3])
-    knots[-4] = x[-1] + 1e-9
-    return np.asarray(BSpline.design_matrix(x, knots, 3).toarray())
-
-
-def fit_oscillators(cells: CellSpectrum, max_modes: int = LIMITS.max_modes) -> list[OscillatorFit]:
+def fit_oscillators(cells: CellSpectrum) -> list[OscillatorFit]:
     """Fits with 0, 1, 2 ... modes, each one significant; the last one is the answer.
 
     A further mode is significant at `mode_p_value` over all frequencies and widths searched, lies inside the band, is
     wider than a line, and has at least half of the power at its resonance.
     """
-    fits = _with_knots(cells, LIMITS.knot_octaves, max_modes)
+    fits = _with_knots(cells, LIMITS.knot_octaves)
     if len(fits) == 1:
         return _with_broad_mode(cells) or fits
     for _ in range(2):
@@ -250,7 +233,7 @@ def fit_oscillators(cells: CellSpectrum, max_modes: int = LIMITS.max_modes) -> l
         widest = 2.0 * float(top.damping[np.argmax(top.energy)]) if top.f_hz.size else 0.0
         if LIMITS.knot_widths * widest <= np.log(2.0) * top.knot_octaves:
             break
-        fits = _with_knots(cells, LIMITS.knot_widths * widest / np.log(2.0), max_modes)
+        fits = _with_knots(cells, LIMITS.knot_widths * widest / np.log(2.0))
     return fits
 
 
@@ -261,10 +244,10 @@ def _with_broad_mode(cells: CellSpectrum) -> list[OscillatorFit]:
     places = np.linspace(problem.x[0], problem.x[-1], LIMITS.broad_starts + 2)[1:-1]
     tried = [problem.maximise(problem.first_mode(theta, u, float(np.log(LIMITS.broad_damping)))) for u in places]
     best = max(tried, key=lambda fit: fit[2])
-    fit = _fit(problem, *best)
+    fit = _fit(problem, *best[:2])
     if best[2] - value < _needed_nats(problem) or not _is_sound(cells, fit):
         return []
-    return [_fit(problem, theta, parts, value), fit]
+    return [_fit(problem, theta, parts), fit]
 
 
 def _needed_nats(problem: _Problem) -> float:
@@ -273,19 +256,19 @@ def _needed_nats(problem: _Problem) -> float:
     return 0.5 * float(chdtri(3, LIMITS.mode_p_value / max(trials, 1.0)))
 
 
-def _with_knots(cells: CellSpectrum, knot_octaves: float, max_modes: int) -> list[OscillatorFit]:
+def _with_knots(cells: CellSpectrum, knot_octaves: float) -> list[OscillatorFit]:
     """Fits with 0, 1, 2 ... modes at one distance of the knots of P."""
     problem = _Problem(cells, knot_octaves)
     theta, parts, value = problem.maximise(problem.smooth_start())
-    fits = [_fit(problem, theta, parts, value)]
+    fits = [_fit(problem, theta, parts)]
     needed = _needed_nats(problem)
     banned: list[float] = []
-    while len(fits) <= max_modes and len(banned) < LIMITS.max_refused:
+    while len(fits) <= LIMITS.max_modes and len(banned) < LIMITS.max_refused:
         start = problem.with_mode(theta, parts, banned)
         new, new_parts, new_value = problem.maximise(start)
         if new_value - value < needed:
             break
-        fit = _fit(problem, new, new_parts, new_value)
+        fit = _fit(problem, new, new_parts)
         if not _is_sound(cells, fit):
             banned.append(float(start[-3]))
             continue
@@ -308,7 +291,7 @@ def _is_sound(cells: CellSpectrum, fit: OscillatorFit) -> bool:
     )
 
 
-def _fit(problem: _Problem, theta: Array, parts: _Parts, value: float) -> OscillatorFit:
+def _fit(problem: _Problem, theta: Array, parts: _Parts) -> OscillatorFit:
     """The numbers of a maximum."""
     k, cells = problem.k, problem.cells
     tail = theta[k + 1 :].reshape(-1, 3)
@@ -329,15 +312,12 @@ def _fit(problem: _Problem, theta: Array, parts: _Parts, value: float) -> Oscill
     return OscillatorFit(
         f_hz=f[order],
         damping=zeta[order],
-        weight=np.exp(tail[order, 2]),
         f_sd_hz=(f * tail_sd[:, 0])[order],
         damping_sd=(zeta * tail_sd[:, 1])[order],
         prominence=prominence[order],
         energy=(parts.modes @ df / (parts.psd @ df))[order],
         model=parts.psd * problem.scale,
         force=parts.force * problem.scale,
-        log_likelihood=value,
-        dispersion=problem.dispersion,
         knot_octaves=problem.knot_octaves,
         misfit_db=10.0 / np.log(10.0) * misfit,
     )

@@ -15,9 +15,8 @@ from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.likelihood.thresholds import LIMITS
 from estimator.model.background import Background
-from estimator.model.disc import disc_of
 from estimator.model.rig import LineBand, Model
-from estimator.model.rotor import rotor_of
+from estimator.model.rotor import disc_of, rotor_of
 from estimator.model.rotor_matrices import Rotor
 from estimator.parallel import map_threads
 from estimator.results import Message
@@ -26,10 +25,17 @@ from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
-from .force_balance import motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
-from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
-from .linear_memory import filtered_series
+from .known_spectra import (
+    FORCE_SHAPES,
+    excitation_shapes,
+    fitted_bins,
+    motion_channels,
+    shaft_response,
+    shaft_terms,
+    undone_noise_gain,
+)
+from .memory_law import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
@@ -73,8 +79,7 @@ def motion_record(
     most_samples : of all places; of a longer record the first blocks of every time fold are kept, or those of a later
     part. Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
-    y = real_samples(y)
-    places = model.places
+    y, places = check_shape(model, y), model.places
     moving, shaken = _columns(model, y)
     columns = [*moving, *shaken.values()]
     while block > 1024 and y.shape[0] < 24 * block:
@@ -175,14 +180,8 @@ def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
 def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
     """Column of the motion channel of each place, and columns of the force channels by place.
 
-    Raises DataError if the record has other channels than the model, or one does not move.
+    Raises DataError if a channel does not move.
     """
-    if y.ndim != 2 or y.shape[1] != len(model.channels):
-        raise DataError(
-            f"the record has {y.shape[-1]} channels, the rig {len(model.channels)}: use the rig of the record"
-        )
-    if not model.places:
-        raise DataError("the rig has no motion channel at a bearing: nothing to compare")
     moving = motion_channels(model)
     forces = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     shaken = {p: forces[p] for p in model.places if p in forces}

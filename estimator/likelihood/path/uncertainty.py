@@ -25,6 +25,8 @@ def joint_covariance(point: WorkingPoint) -> Array:
     The increments are those of ``point.fit``. The larger of inverse Hessian and sandwich is taken, parameter by
     parameter.
     """
+    from scipy.special import chdtri
+
     bread = information_inverse(_joint_hessian(point))
     influence = _block_scores(point) @ bread  # of each block on each parameter
     expected = np.diag(bread)
@@ -35,15 +37,9 @@ def joint_covariance(point: WorkingPoint) -> Array:
         wider = np.where(excess > LIMITS.min_excess_sd * chance, squares.sum(axis=0) / expected, wider)
     folds = np.array([influence[point.data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
     of_folds = (folds**2).sum(axis=0) / expected * TIME_FOLDS  # chi-squared, its mean left out
-    wider = np.where(of_folds > _fold_limit(), np.maximum(of_folds / (TIME_FOLDS - 1), wider), wider)
+    limit = chdtri(TIME_FOLDS - 1, LIMITS.max_chance_p)
+    wider = np.where(of_folds > limit, np.maximum(of_folds / (TIME_FOLDS - 1), wider), wider)
     return np.asarray(bread * np.sqrt(np.multiply.outer(wider, wider)))
-
-
-def _fold_limit() -> float:
-    """Chi-squared of the influence of the time folds that chance exceeds with max_chance_p."""
-    from scipy.special import chdtri
-
-    return float(chdtri(TIME_FOLDS - 1, LIMITS.max_chance_p))
 
 
 def _joint_hessian(point: WorkingPoint) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -99,10 +100,10 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
             D[..., 0] += tangents
             if not _above(data, np.diag(D[..., 0])):
                 return with_below_band_motion(replace(data, slow=data.measured, below_band_force=None), kL, c, uses)
-            push = {
-                i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.below_band_force)
-            }
-        response = _response(data, D)
+            before = np.zeros(data.x.shape, np.float32) if data.slow is None else data.slow
+            push = {i: push.get(i, 0.0) - tangents[i] @ before - force for i, force in enumerate(data.below_band_force)}
+        yields = partial(compliance, mass=data.mass, D=D, rotor=data.rotor)
+        response = below_band_compliance(yields, data.rate_hz, data.band, data.kinds)
         slow = np.zeros(data.x.shape, np.float32)
         if push:
             for i, x in below_band_displacement(push, response, data.rate_hz, data.band[0]).items():
@@ -111,10 +112,6 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
             slow += data.measured
         data = replace(data, slow=slow)
     return data
-
-
-def _response(data: MotionRecord, D: Array) -> Callable[[Array], Complexes]:
-    return below_band_compliance(lambda w: compliance(w, data.mass, D, data.rotor), data.rate_hz, data.band, data.kinds)
 
 
 def _above(data: MotionRecord, k: Array) -> bool:
@@ -151,7 +148,3 @@ def _pushed(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array)
     for i, (_, slopes) in found.items():
         tangents[i] = slopes
     return {i: f for i, (f, _) in found.items()}, tangents
-
-
-def _slow(data: MotionRecord) -> Array:
-    return np.zeros(data.x.shape, np.float32) if data.slow is None else np.asarray(data.slow)

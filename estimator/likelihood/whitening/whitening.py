@@ -1,4 +1,21 @@
-"""Residual force and regressors as whitened block spectra, which the path likelihood is made of."""
+"""Residual force and regressors as whitened block spectra, which the path likelihood is made of.
+
+Sensor noise referred to force: through the shaft, the noise of one bearing enters both residual forces.
+
+The residual forces are r = A y = F + A n, with n the noise of the sensors. Where a shaft couples the caps they
+are correlated, R = S + A N A^H. A force that follows the motion y has with r the mean product T A^-1 R, T its mean
+response. With each row whitened by itself, W = 1 / diag R, the slope of the determinant T A^-1 leaves T A^-1 (R W - 1):
+noise of bearing 2 would look like a force at bearing 1 that follows bearing 2. So the response of every force is taken
+as that to the measured motion, T A^-1 R W A. It is T where the rows are independent.
+
+Leakage of narrow lines between blocks, projected out of the block spectra.
+
+A disc rings for seconds on its shaft, a tone for ever, and a block lasts a third of a second. The part of the residual
+force that goes with them ends at both ends of every block. That spreads it over all bins. The Fourier sum over a block
+of a sampled line of constant amplitude at f0 has the shape 1 + i cot(pi (f - f0) / rate), and that of its conjugate the
+shape at -f0. Higher powers of the cotangent come in where the line grows, decays or wanders. The shapes are projected
+out of every series alike, and the lost share of each bin is counted.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +32,124 @@ from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 
 from .determinant import tangent_times
-from .line_leakage import Leakage, line_leakage
-from .sensor_noise import SensorNoise
+
+
+@dataclass(frozen=True, slots=True)
+class Leakage:
+    """Shapes of the leakage of narrow lines.
+
+    shapes : (places, bins, k) orthonormal, of whitened spectra. kept : (places, bins) share of each bin that remains.
+    """
+
+    shapes: NDArray[np.float32]
+    kept: Array
+
+    def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
+        """Project the shapes out of spectra Z (blocks, 2 bins) at place i, in place. It needs as much memory again."""
+        own = self.shapes[i]
+        parts = np.concatenate([Z[:, 0::2], Z[:, 1::2]])  # real and imaginary parts
+        parts -= (parts @ own) @ own.T
+        Z[:, 0::2], Z[:, 1::2] = parts[: len(Z)], parts[len(Z) :]
+
+
+def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage | None:
+    """The shapes; None where no disc resonates in the band and no line is strong.
+
+    weights : (places, bins) of the spectra.
+    """
+    forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LIMITS.line_powers)]
+    for f0 in () if data.rotor is None else data.rotor.resonances_hz:
+        if data.band[0] < f0 < data.band[1]:
+            forms += _forms(data, f0, LIMITS.disc_powers)  # the notch of the shaft leaves it out
+    if not forms:
+        return None
+    forms.append(np.ones(data.f_hz.size))
+    columns = np.stack(forms, axis=1) / np.linalg.norm(forms, axis=1)
+    shapes, kept = [], []
+    for own in weights:
+        Q, _ = np.linalg.qr(own[:, None] * columns)
+        kept.append(1.0 - np.sum(Q**2, axis=1))
+        shapes.append(Q)
+    return Leakage(np.array(shapes, np.float32), np.array(kept))
+
+
+def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array]:
+    """Shapes (bins,) of what leaks from f0, Hz. powers : highest power of the cotangent at f0 and at -f0."""
+    here, mirrored = (1.0 / np.tan(np.pi * (data.f_hz - f) / data.rate_hz) for f in (f0, -f0))
+    return [z**k for z, most in zip((here, mirrored), powers, strict=True) for k in range(1, most + 1)]
+
+
+def leaking_lines(data: MotionRecord) -> list[float]:
+    """Frequencies of the lines that leak most, Hz, at most `max_lines`.
+
+    A block without a window puts 1 / (pi k)^2 of the power of a line in the bin k bins away.
+    """
+    seconds = data.block / data.rate_hz
+    leaks = []
+    for line in data.lines:
+        away = max(0.5 * (line.high_hz - line.low_hz) * seconds, 1.0)
+        power = line.power_over_psd_hz * seconds * 2.0 / (np.pi**2 * away)
+        if power > LIMITS.min_leakage_bins and not np.any(np.abs(data.f_hz - line.centre_hz) < 0.5 / seconds):
+            leaks.append((power, line.centre_hz))
+    return [hz for _, hz in sorted(leaks, reverse=True)[: LIMITS.max_lines]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorNoise:
+    """Sensor noise in the residual forces, and the weights that whiten them.
+
+    weight : (places, bins) S over the PSD of each residual force. share : (places, bins) share of sensor noise in that
+    PSD. root : (bins, places) one over the root of that PSD. shared : (bins, places, places) correlations of the
+    residual forces by noise; None where they are independent.
+    """
+
+    weight: Array
+    share: Array
+    root: Array
+    shared: Complexes | None
+
+    def correlation(self, i: int, j: int) -> Complexes | float:
+        """(bins,) correlation of two residual forces by sensor noise."""
+        return 0.0 if self.shared is None else np.asarray(self.shared[:, i, j])
+
+    def to_measured(self, A: Complexes) -> Complexes | None:
+        """(bins, places, places) factor from the response to the motion to the response to the measured motion.
+
+        A : (bins, places, places) along the line of the determinant. None where the two responses are the same.
+        """
+        if self.shared is None:
+            return None
+        apart = self.shared * self.root[:, None, :] / self.root[:, :, None]  # R W - 1
+        return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
+
+
+def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> SensorNoise:
+    """Sensor noise in residual forces. A : (bins, places, places) kg. nu : (places,) noise over S. S : (places,)."""
+    referred = referred_psd(data, A, nu * S) / S[:, None]
+    weight = 1.0 / (data.excitation_shape + referred)
+    P = len(data.places)
+    noise = data.noise_shape * (nu * S)[:, None]
+    R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
+    R[:, range(P), range(P)] = 0.0
+    root = np.sqrt(weight / S[:, None]).T
+    shared = R * root[:, :, None] * root[:, None, :]
+    correlated = np.abs(shared).max(initial=0.0) > LIMITS.min_correlation
+    return SensorNoise(weight=weight, share=referred * weight, root=root, shared=shared if correlated else None)
+
+
+def force_correlation(data: MotionRecord, weight: Array, i: int, j: int) -> Complexes:
+    """(bins,) correlation of the residual forces of places i and j per correlation of their excitation.
+
+    weight : (places, bins).
+    """
+    own = np.sqrt(weight[i] * weight[j])
+    return np.asarray(own * np.sqrt(data.excitation_shape[i] * data.excitation_shape[j]), complex)
+
+
+def referred_psd(data: MotionRecord, A: Complexes, N: Array) -> Array:
+    """(places, bins) PSD of sensor noise referred to force, N^2/Hz. N : (places,) PSD of white noise of the sensors."""
+    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, data.noise_shape * N[:, None]))
+
 
 Spectrum = NDArray[np.float32]
 

@@ -8,7 +8,7 @@ import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig.rig import load_rig
-from estimator.identification.batch import unmeasured_end
+from estimator.identification.batch.full_fit import unmeasured_end_messages
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
@@ -25,13 +25,13 @@ def test_only_a_stiff_shaft_with_one_end_measured_is_told(rig: Model) -> None:
     own = {place: kL[place] for place in first.places}
     stiff = {"shaft_stiffness": 1e7}
     assert (
-        unmeasured_end.unmeasured_end_messages(rig, kL)
-        == unmeasured_end.unmeasured_end_messages(first, own)
-        == unmeasured_end.unmeasured_end_messages(replace(rig, **stiff), kL)
+        unmeasured_end_messages(rig, kL)
+        == unmeasured_end_messages(first, own)
+        == unmeasured_end_messages(replace(rig, **stiff), kL)
         == ()
     )
-    assert unmeasured_end.unmeasured_end_messages(replace(first, shaft="none", **stiff), own) == ()
-    (message,) = unmeasured_end.unmeasured_end_messages(replace(first, **stiff), own)
+    assert unmeasured_end_messages(replace(first, shaft="none", **stiff), own) == ()
+    (message,) = unmeasured_end_messages(replace(first, **stiff), own)
     assert (message.code, message.place) == ("end_unmeasured", "bearing2")
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator.likelihood.fitting import gauss_newton, noise_level
+from estimator.likelihood.fitting import gauss_newton
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
-from estimator.likelihood.fitting.noise_level import grid_minimum
+from estimator.likelihood.fitting.gauss_newton import grid_minimum
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import working_point
@@ -28,7 +28,7 @@ def test_the_noise_is_that_of_the_values_after_a_step() -> None:
     true = 0.1**2 / (RATE / 2) / S
     np.testing.assert_allclose(point.nu, true, rtol=0.4)
     off = working_point.point_at(point.data, 0.9 * point.kL, 1.2 * point.c, point.nu, point.S, list(point.placed))
-    np.testing.assert_allclose(noise_level.sensor_noise_ratio(off)[0], true, rtol=0.4)
+    np.testing.assert_allclose(gauss_newton.sensor_noise_ratio(off)[0], true, rtol=0.4)
 
 
 def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> None:
