@@ -10,7 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import firwin, oaconvolve
 
-from estimator.model.rig import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model, Shaft
+from estimator.model.rotor import shaft_matrix
 
 PLACES = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 RATE = 25600.0
@@ -131,3 +132,10 @@ def rig_record(
 def run_up_angle(run_up: tuple[float, float, float], seconds: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n,) rad at the times `at`, s."""
     return 2 * np.pi * (run_up[0] * at + 0.5 * (run_up[1] - run_up[0]) / seconds * at**2)
+
+
+def shaft_at_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, w: np.ndarray) -> np.ndarray:
+    """(f, 2, 2) N/m that shaft and disc add to the dynamic stiffness of two caps, no force on the disc; w in rad/s."""
+    K, C = shaft_matrix(shaft, stiffness), shaft_matrix(shaft, damping)
+    D = K + 1j * w[:, None, None] * C - w[:, None, None] ** 2 * np.diag([0.0, 0.0, disc])
+    return np.asarray(D[:, :2, :2] - D[:, :2, 2:] @ D[:, 2:, :2] / D[:, 2:, 2:])

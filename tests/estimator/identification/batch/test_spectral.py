@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
+from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record, shaft_at_caps
 
 from estimator.errors import DataError
 from estimator.identification.batch import spectral as spectral
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.model.rotor import shaft_at_caps
 from estimator.simulation.simulator import simulate
 
 
@@ -91,7 +90,7 @@ def test_a_record_in_pieces_is_told_from_a_short_one(record: np.ndarray) -> None
 def exact_record(model: Model, n: int = 1 << 19) -> np.ndarray:
     """(n, 4) m/s^2 of the linear rig, made in the frequency domain: no integrator, no filter, no error."""
     rng, w = np.random.default_rng(0), 2 * np.pi * np.fft.rfftfreq(n, 1 / RATE)
-    caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, DISC, w)
+    caps = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, DISC, w)
     out = np.empty((n, 4))
     for pair in ((0, 2), (1, 3)):
         m, c, k, S = (np.array(z)[list(pair)] for z in (np.full(4, MASS), TRUTH["c"], TRUTH["kL"], TRUTH["S"]))
