@@ -32,7 +32,7 @@ def commands_page() -> str:
         for p in command.params:
             shown = p.metavar or "" if p.param_type_name == "argument" else ", ".join(p.opts)
             if p.param_type_name == "option" and not p.is_flag:
-                shown += f" {p.metavar or 'VALUE'}"
+                shown += " " + (p.metavar or "VALUE").replace("|", " or ")
             none = p.required or p.default in (None, False, ()) or callable(p.default)
             default = "" if none else f" Default: {p.default}."
             lines.append(f"| `{_cell(shown)}` | {_cell(' '.join((getattr(p, 'help', '') or '').split()) + default)} |")

@@ -131,7 +131,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", _p(row["p_value"]),
                  missing, parameters, limit)  # fmt: skip
         rows.append(cells)
-    table = FittingTable(headings=RANKING_HEADINGS, rows=rows, order=(4, 2, 3, 5, 1, 6))
+    table = FittingTable(headings=RANKING_HEADINGS, rows=rows, order=(4, 2, 3, 5, 1, 6), whole=frozenset({3, 4}))
     people: list[Any] = [table, ""] if rows else []
     shown = {finding["text"] for finding in value.get("record", {}).get("findings", ())}
     coded = zip(value.get("messages", ()), value.get("message_codes", repeat("")), strict=False)

@@ -51,7 +51,9 @@ def application(only: str = "") -> typer.Typer:
 
     @app.callback()
     def rotorscope(
-        version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+        version: Annotated[
+            bool, typer.Option("--version", callback=_version, is_eager=True, metavar="", help="Print it.")
+        ] = False,
     ) -> None:
         pass
 

@@ -36,7 +36,9 @@ def batch(
     every: Annotated[
         str | None, typer.Option("--every", metavar="T", help="Time between the starts of two windows, such as 1h.")
     ] = None,
-    only_failed: Annotated[bool, typer.Option("--only-failed", help="Do again what failed, and nothing else.")] = False,
+    only_failed: Annotated[
+        bool, typer.Option("--only-failed", metavar="", help="Do again what failed, and nothing else.")
+    ] = False,
     timeout: Annotated[
         float | None, typer.Option("--timeout", metavar="S", min=1.0, help="Give up an analysis that takes longer.")
     ] = None,

@@ -29,7 +29,8 @@ def import_(
         float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file does not say it.")
     ] = None,
     gaps: Annotated[
-        bool, typer.Option("--gaps", help="Rows that are NaN in every channel become gaps, instead of an error.")
+        bool,
+        typer.Option("--gaps", metavar="", help="Rows that are NaN in every channel become gaps, instead of an error."),
     ] = False,
     json: Json = None,
     quiet: Quiet = False,

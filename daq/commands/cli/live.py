@@ -39,7 +39,9 @@ KeepFree = Annotated[
     str | None,
     typer.Option("--keep-free", metavar="SIZE", help="Remove them to leave so much disk free (1GB with --keep)."),
 ]
-RemoveAlarms = Annotated[bool, typer.Option("--remove-alarms", help="Remove segments with an alarm like the others.")]
+RemoveAlarms = Annotated[
+    bool, typer.Option("--remove-alarms", metavar="", help="Remove segments with an alarm like the others.")
+]
 Every = Annotated[
     str | None, typer.Option("--every", metavar="1h", help="Store samples once in so long, for --for; estimate always.")
 ]
@@ -75,7 +77,7 @@ def run(
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 1 if any sample was lost or an alarm came.")
+        bool, typer.Option("--strict", metavar="", help="Exit with 1 if any sample was lost or an alarm came.")
     ] = False,
     metrics: Annotated[
         int | None, typer.Option("--metrics", metavar="PORT", help="Prometheus metrics on 127.0.0.1:PORT.")
@@ -160,7 +162,8 @@ def replay(
         Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Exit with 1 unless the estimates equal the logged ones bit for bit.")
+        bool,
+        typer.Option("--check", metavar="", help="Exit with 1 unless the estimates equal the logged ones bit for bit."),
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a new log.")] = None,
     rerun: Annotated[

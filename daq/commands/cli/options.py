@@ -16,8 +16,8 @@ from daq.base.contract.part import Part
 Json = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output.")
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Only errors.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="More detail, and tracebacks of errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", metavar="", help="Only errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", metavar="", help="More detail, and tracebacks of errors.")]
 RigArgument = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (TOML).")]
 RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG", help="Rig file (TOML).")]
 LogArgument = Annotated[
