@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.errors import LogError
-from daq.rig.units import UNITS_OF_KIND, VOLTS_OF_UNIT, canonical
+from daq.rig.units import canonical, is_unit
 
 from .columns import SECONDS_OF_UNIT, Columns, date_ns, in_seconds, time_unit, titled
 from .lvm_file import END_OF_HEAD, LVM_TITLE, read_lvm
@@ -65,6 +65,7 @@ def read_csv(path: Path, names: Sequence[str]) -> Columns:
         first = _unit_row(table, first[table.line - 1 :])
         _columns(table, names)
         _signs(table, first)
+        _stamped(table, first)
         parts: list[NDArray[np.float64]] = []
         stamps: list[NDArray[np.float64]] = []
         last, lines = "\n", first
@@ -193,8 +194,7 @@ def _without_remarks(table: _Table, lines: list[str]) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    unit = canonical(text)
-    return unit.lower() in SECONDS_OF_UNIT or unit in VOLTS_OF_UNIT or any(unit in u for u in UNITS_OF_KIND.values())
+    return canonical(text).lower() in SECONDS_OF_UNIT or is_unit(text)
 
 
 def _number(text: str) -> bool:
@@ -243,6 +243,21 @@ def _signs(table: _Table, lines: list[str]) -> None:
         table.thousands = ","
     elif commas:
         table.decimal = ","
+
+
+def _stamped(table: _Table, lines: list[str]) -> None:
+    """Where no column has a name of time: one of time stamps that go on is it, whatever its name."""
+    rows = [row for row in _rows(table, lines) if row and not row[0].startswith("#")][:2]
+    if table.time is not None or len(rows) < 2:
+        return
+    for k in range(min(map(len, rows))):
+        cells = [row[k] for row in rows]
+        if k in table.wanted or k == table.date or any(":" not in cell for cell in cells):
+            continue
+        ns = [date_ns(f"1970-01-02 {cell}" if _OF_DAY.match(cell) else cell) for cell in cells]
+        if ns[0] is not None and ns[1] is not None and ns[0] < ns[1]:
+            table.time = k
+            return
 
 
 def _rows(table: _Table, lines: list[str]) -> list[list[str]]:

@@ -16,11 +16,12 @@ import numpy as np
 
 from daq.base.console.memory import bounded_memory
 from daq.base.contract.errors import LogError
+from daq.rig.units import is_unit
 
 from . import child
 from .columns import Column, Columns, date_ns, in_seconds, stated_rate, time_unit, titled
 from .csv_file import read_csv
-from .leaves import part_of
+from .leaves import UNIT_NAMES, part_of
 from .lvm_file import read_lvm
 from .uff_file import read_uff
 from .wav_file import read_wav
@@ -97,6 +98,9 @@ def of_npz(path: Path, file: Mapping[str, Column], names: Sequence[str]) -> Colu
     if {"channels", "units"} <= set(file):
         channels, units = (np.ravel(file[k]).astype(str).tolist() for k in ("channels", "units"))
         columns = replace(columns, units={n: u for n, u in zip(channels, units, strict=False) if u})
+    said = [str(np.ravel(file[k])[0]) for k in UNIT_NAMES if k in file and k not in names and np.size(file[k]) == 1]
+    if said and not columns.units and is_unit(said[0]):
+        columns = replace(columns, units=dict.fromkeys(names, said[0]))
     if "started" in file and np.size(file["started"]) == 1:
         columns = replace(columns, started_ns=date_ns(str(np.ravel(file["started"])[0])))
     return with_time(path, columns, times[0], file[times[0]]) if times else columns

@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.rig.units import is_unit
+
 from .columns import START_NAMES, plain, stated_rate, time_unit
 
 SAME_TIME_SHARE = 1e-3  # of a sample: times that differ by less are the same
 MOST_LEVELS = 8  # of structs in structs
 OF_SAMPLES = frozenset(("data", "values", "value", "signals"))  # names of a channel's samples in a struct of its own
+UNIT_NAMES = ("unit", "units")
 SCALE_NAMES = frozenset(
     ("gain", "scale", "scaling", "calibration", "calibrationfactor", "calfactor", "sensitivity", "multiplier", "slope")
     + ("conversion", "conversionfactor", "lsb", "factor")
@@ -89,7 +92,7 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
     for name, (value, path) in picked.items():
         about = _about(leaves, path, separator)
         values[name] = _scaled(np.asarray(value), about)
-        if unit := text_of(about.get("unit", about.get("units"))):
+        if unit := text_of(about.get("unit", about.get("units"))) or _unit_of_all(leaves, path, separator):
             units[name] = unit
         for key in SCALE_NAMES & about.keys():
             number = np.ravel(about[key])
@@ -172,6 +175,14 @@ def _about(leaves: Mapping[str, Any], path: str, separator: str) -> dict[str, An
     home, _, end = path.rpartition(separator)
     homes = [path, home] if home and plain(end) in OF_SAMPLES else [path]
     return {plain(p.rpartition(separator)[2]): v for p, v in leaves.items() if p.rpartition(separator)[0] in homes}
+
+
+def _unit_of_all(leaves: Mapping[str, Any], path: str, separator: str) -> str | None:
+    """The unit that stands beside several samples, in the same struct or file; None if it is none that is known."""
+    home = path.rpartition(separator)[0]
+    parts = ((p.rpartition(separator), value) for p, value in leaves.items())
+    beside = [text_of(value) or "" for (of, _, end), value in parts if of == home and plain(end) in UNIT_NAMES]
+    return beside[0] if len(beside) == 1 and is_unit(beside[0]) else None
 
 
 def _scaled(value: NDArray[Any], about: Mapping[str, Any]) -> NDArray[Any]:

@@ -53,6 +53,12 @@ def canonical(unit: str) -> str:
     return _OTHER_SPELLINGS.get(text, text)
 
 
+def is_unit(unit: str) -> bool:
+    """Whether a channel may have this unit, or be in volts."""
+    text = canonical(unit)
+    return text in VOLTS_OF_UNIT or any(text in units for units in UNITS_OF_KIND.values())
+
+
 def sensitivity_parts(unit: str) -> tuple[str, str]:
     """ "mV/(m/s^2)" as ("mV", "m/s^2")."""
     volts, _, quantity = unit.partition("/")

@@ -235,6 +235,40 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
     check(read(tmp_path / "d.mat", rig=rig.replace('name = "b2x"', 'name = "b2x"\nalias = "d(2,:)"')))
 
 
+@pytest.mark.promise(
+    "one unit beside several channels",
+    "in a struct, a .mat, an .npz, a group of HDF5",
+    "converted; another text is none",
+)
+@pytest.mark.parametrize(("unit", "factor"), [("mm/s^2", 1e-3), ("g", 9.80665), ("SI", 1.0)])
+def test_one_unit_beside_several_channels(tmp_path: Path, unit: str, factor: float) -> None:
+    """It was passed over: values a thousand times too large."""
+    import scipy.io
+
+    both: dict[str, Any] = {"b1x": X, "b2x": Y, "fs": 100.0}
+    scipy.io.savemat(tmp_path / "a.mat", {"run": {**both, "unit": unit}})
+    scipy.io.savemat(tmp_path / "b.mat", {**both, "Units": unit})
+    np.savez(tmp_path / "c.npz", **both, units=unit)
+    files = [tmp_path / "a.mat", tmp_path / "b.mat", tmp_path / "c.npz"]
+    for file in files:
+        check(read(file), X * factor, Y * factor)
+    own = {"b1x": {"data": X, "unit": "mg"}, "b2x": {"data": Y, "unit": "mg"}, "unit": unit, "fs": 100.0}
+    scipy.io.savemat(tmp_path / "d.mat", own)
+    check(read(tmp_path / "d.mat"), X * 9.80665e-3, Y * 9.80665e-3)
+
+
+def test_a_column_of_time_stamps_is_the_time_whatever_its_name(tmp_path: Path) -> None:
+    def stamp(k: int) -> str:
+        return f"{np.datetime64(START_NS, 'ns') + np.timedelta64(10 * k, 'ms')}"
+
+    check(read(table(tmp_path / "a.csv", "recorded at,b1x,b2x", stamp)), started_ns=START_NS)
+    check(read(table(tmp_path / "b.csv", "Uhrzeit;b1x;b2x", lambda k: f"22:13:{20 + k / RATE_HZ:06.3f}", ";")))
+    created = table(tmp_path / "c.csv", "created,b1x,b2x", lambda _: "2023-11-14 22:13:20")
+    with pytest.raises(LogError, match="--rate"):
+        read(created)
+    assert load(created, Rig.parse(RIG_TEXT), 100.0, [].append).rate_hz == RATE_HZ
+
+
 @pytest.mark.promise("channels that begin at different times", "times and starts of their own", "refused")
 def test_channels_with_times_and_starts_of_their_own_are_refused(tmp_path: Path) -> None:
     import scipy.io
