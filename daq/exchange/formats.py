@@ -39,7 +39,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
     if reader is None:
         known = ", ".join([*READER_OF_SUFFIX, ".log, .blf, .asc (CAN, with a DBC)"])
         remedy = REMEDY_OF_SUFFIX.get(path.suffix.lower(), "")
-        raise LogError(f'{path}: cannot import a file that ends in "{path.suffix}"; {remedy}known are {known}')
+        what = f'is no log (.mcap), and cannot be read by its ending "{path.suffix}"'
+        raise LogError(f"{path}: {what}; {remedy}known are {known}")
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     try:

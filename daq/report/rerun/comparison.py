@@ -314,7 +314,9 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
 
     def view(entity: str, name: str) -> rrb.Spatial2DView:
         width = plane.HEIGHT_UNITS if entity.startswith("orbit") else plane.WIDTH_UNITS
-        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT_UNITS + 130))
+        marked = entity.split("/")[0] in ("spectra", "envelopes", "orders")
+        above = 30 + marked * (plane.MARK_ROWS + 0.5) * plane.MARK_ROW_UNITS
+        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-above, plane.HEIGHT_UNITS + 165))
         return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 WIDTH_UNITS, HEIGHT_UNITS = 1300.0, 560.0
 MARGIN_UNITS = 60.0
 LABEL_UNITS = 85.0  # of the words of the x axis below it: clear of the numbers also in a small view
-MARK_ROWS, MARK_ROW_UNITS = 4, 62.0  # of names of marks, so that neighbours do not cover each other
+MARK_ROWS, MARK_ROW_UNITS = 3, 62.0  # of names of marks, so that neighbours do not cover each other
 GRID_COLOUR = (120, 120, 120, 70)
 TEXT_COLOUR = (150, 150, 150, 255)
 MINUS_SIGN = str.maketrans("-", "\N{MINUS SIGN}")
@@ -104,7 +104,7 @@ class Plane:
         for value, text in self.y.ticks():
             at = (1 - float(self.y.fraction(np.array([value]))[0])) * HEIGHT_UNITS
             strips.append([[0, at], [self.width, at]])
-            marks.append([-MARGIN_UNITS / 2, at - MARGIN_UNITS / 4])
+            marks.append([-MARGIN_UNITS, at - MARGIN_UNITS / 4])
             words.append(text)
         marks += [[self.width / 2, HEIGHT_UNITS + LABEL_UNITS]] if self.x.label else []
         words += [self.x.label] if self.x.label else []
@@ -119,11 +119,12 @@ class Plane:
 
 
 def mark_names(plane: Plane, marks: Sequence[tuple[float, str]]) -> rr.Points2D:
-    """The names of lines over the whole height, at their heads."""
+    """The names of lines over the whole height, above the frame, neighbours in rows of their own."""
     import rerun as rr
 
+    marks = sorted(marks)
     at = plane.x.fraction(np.array([value for value, _ in marks])) * plane.width
-    heads = np.column_stack([at, [(k % MARK_ROWS) * MARK_ROW_UNITS for k in range(len(marks))]])
+    heads = np.column_stack([at, [-(1 + k % MARK_ROWS) * MARK_ROW_UNITS for k in range(len(marks))]])
     names = [name for _, name in marks]
     return rr.Points2D(heads, labels=names, show_labels=True, colors=[TEXT_COLOUR], radii=rr.Radius.ui_points(0))
 

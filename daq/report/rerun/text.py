@@ -30,8 +30,10 @@ def documents(
         ]
         heads = ("model", "channel", "against", "region", "share of the missing force")
         out["Map"] = "# Where the model fails\n\n" + table(heads, cells)
-    if rows_of_layers := layers.lines(diagnoses[0] if diagnoses else seen or {}, {}):
-        out["Layers"] = "# What the record shows\n\n" + table(("layer", ""), rows_of_layers)
+    units = {name: own["unit"] for name, own in levels.items()}
+    if rows_of_layers := layers.lines(diagnoses[0] if diagnoses else seen or {}, units):
+        said_of = [f"**{name}** {line}" if name else line for name, line in rows_of_layers]  # a table would be cut
+        out["Layers"] = "\n\n".join(["# What the record shows", *said_of])
     if diagnoses:
         out["Diagnosis"] = "\n\n".join(diagnosed(d) for d in diagnoses)
     if values := (comparison or {}).get("parameters"):

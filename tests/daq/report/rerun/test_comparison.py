@@ -47,3 +47,13 @@ def test_any_names(tmp_path: Path) -> None:
     parts["comparison"]["spectra"] = {"a/b c$": parts["comparison"]["spectra"]["b1x"]}
     log_comparison(str(tmp_path / "names.rrd"), parts["comparison"])
     assert r"spectrum/a\/b\ c\$/curves" in entities(tmp_path / "names.rrd")
+
+
+def test_names_of_marks_stand_above_the_frame_in_rows_of_their_own() -> None:
+    from daq.report.rerun.plane import MARK_ROW_UNITS, Axis, Plane, mark_names
+
+    frame = Plane(Axis(0.0, 12.0, "order of the shaft"), Axis(1e-5, 1e-2, "m/s²", log=True))
+    named = mark_names(frame, [(2.1, "BPFO"), (2.0, "2X"), (1.0, "1X")])
+    positions = named.positions.as_arrow_array().to_pylist()
+    assert [label.as_py() for label in named.labels.as_arrow_array()] == ["1X", "2X", "BPFO"]
+    assert [y for _, y in positions] == [-MARK_ROW_UNITS, -2 * MARK_ROW_UNITS, -3 * MARK_ROW_UNITS]
