@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.base.console.output import Output, write_whole
 from daq.base.contract.errors import ConfigError
@@ -19,6 +20,8 @@ from .examples import example, example_files
 from .guess import Guess, guesses, kind_of_unit
 from .questions import ask
 from .text import NewRig, rig_text
+
+MAX_MOVED_SAMPLES = 0.01  # of the last row, by a rounder rate
 
 
 def init(output: Output, source: Path | None, name: str | None, out: Path) -> None:
@@ -117,6 +120,21 @@ def _with_rotor(text: str, attached: Mapping[str, bytes], out: Path) -> tuple[st
     return text.replace(f'"{rotor.file}"', f'"{target.name}"'), [f"{target}: the matrices of its rotor"]
 
 
+def rate_of(time: NDArray[np.float64]) -> float | None:
+    """The rate of a time column in Hz, from its whole length, as its steps are rounded; None if it does not increase.
+
+    The roundest number at which the last row moves by less than a hundredth of a sample.
+    """
+    steps = np.diff(time)
+    step = float(np.median(steps)) if steps.size else 0.0
+    if not (np.isfinite(time).all() and step > 0 and (steps > 0).all()):
+        return None
+    rows, length = float(np.rint(steps / step).sum()), float(time[-1] - time[0])
+    rate_hz = rows / length
+    round_ones = (float(f"{rate_hz:.{digits}g}") for digits in range(3, 12))
+    return next((r for r in round_ones if abs(r - rate_hz) * length < MAX_MOVED_SAMPLES), rate_hz)
+
+
 def _of_data(output: Output, source: Path, out: Path) -> tuple[str, list[str]]:
     from daq.exchange.formats import read
 
@@ -126,8 +144,7 @@ def _of_data(output: Output, source: Path, out: Path) -> tuple[str, list[str]]:
     rate_hz = named.rate_hz
     if rate_hz is None:
         columns = read(source, [own.source for own in found])
-        step = None if columns.time is None or len(columns.time) < 2 else float(np.median(np.diff(columns.time)))
-        rate_hz = float(f"{1.0 / step:.9g}") if step and step > 0 else None
+        rate_hz = None if columns.time is None else rate_of(np.asarray(columns.time, np.float64).ravel())
     notes = _left([name for name, _ in signals], found)
     if rate_hz is None:
         notes.append(f"{source}: says no sampling rate; import it with --rate, and set the band")

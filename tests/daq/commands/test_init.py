@@ -11,6 +11,7 @@ import pytest
 from daq.commands.cli.app import main
 from daq.commands.start.examples import example_files
 from daq.commands.start.guess import guesses
+from daq.commands.start.init import rate_of
 from daq.commands.start.questions import ask
 from daq.commands.start.text import rig_text
 from daq.rig.rig import Rig, load_rig
@@ -30,6 +31,14 @@ def places(rig: Rig) -> dict[str, str]:
     return {c.name: f"{c.node}.{c.direction} {c.kind} [{c.unit}]" for c in rig.file.channel}
 
 
+@pytest.mark.parametrize(("rate_hz", "digits"), [(25600.0, 9), (25600.0, 6), (44100.0, 7), (99.39, 4), (1651.6, 6)])
+def test_the_rate_is_that_of_the_whole_time_column(rate_hz: float, digits: int) -> None:
+    t = np.round(np.arange(40000) / rate_hz, digits)
+    assert rate_of(t) == rate_hz
+    assert rate_of(np.delete(t, slice(100, 150))) == rate_hz
+    assert rate_of(t[::-1]) is None
+
+
 def test_from_a_table_with_units_and_times(tmp_path: Path) -> None:
     t = np.arange(9000) / RATE_HZ
     y = np.random.default_rng(0).standard_normal((2, t.size))
@@ -39,7 +48,7 @@ def test_from_a_table_with_units_and_times(tmp_path: Path) -> None:
     rig = made(tmp_path, "--from", str(tmp_path / "a.csv"))
     assert places(rig) == {"Acc_X": "bearing1.x acceleration [g]", "NDE_vel_V": "bearing2.y velocity [mm/s]"}
     assert rig.acquisition is not None
-    assert rig.acquisition.rate_hz == pytest.approx(RATE_HZ, rel=1e-4)
+    assert rig.acquisition.rate_hz == RATE_HZ
     assert rig.model.band == (10.0, 2500.0)
     log = str(tmp_path / "a.mcap")
     assert main(["import", str(tmp_path / "a.csv"), "--rig", str(tmp_path / "new.toml"), "--out", log]) == 0
