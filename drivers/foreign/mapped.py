@@ -228,9 +228,14 @@ class MappedDecoder:
         self._fit_steps(mine)
         told: Counter[tuple[str, str]] = Counter()
         counts, valid = self._values(mine, row, n, told)
+        fresh: dict[str, list[str]] = {}
         for (code, text), number in told.items():
             self.stats.count(code, number)
-            self._tell(t_host_ns, code, text)
+            if text not in self._told:
+                self._told.add(text)
+                fresh.setdefault(code, []).append(text)
+        for code, texts in fresh.items():
+            self.notices.add(t_host_ns, "warning", code, "; ".join(texts))
         holes = (
             np.bincount(row[row < n], mine.holes[row < n], n).astype(np.int64)
             if mine.holes.any()
@@ -353,9 +358,9 @@ class MappedDecoder:
             text = f"frames come at {hz_now:.6g} Hz, the record counts {axis.rate_hz:g} Hz"
             self._tell(t_host_ns, "rate_untrue", f"{text}: set acquisition.rate_hz = {hz_now:.6g}", once="rate_untrue")
 
-    def _tell(self, t_host_ns: int, code: str, text: str, once: str = "") -> None:
-        if (once or text) not in self._told:
-            self._told.add(once or text)
+    def _tell(self, t_host_ns: int, code: str, text: str, once: str) -> None:
+        if once not in self._told:
+            self._told.add(once)
             self.notices.add(t_host_ns, "warning", code, text)
 
     def _emit(self, index: I64Array, t_host_ns: int, out: list[Reading]) -> None:

@@ -24,9 +24,10 @@ MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
 FOLLOWED_DRIFT_REL = 2e-4  # once it has been followed for long
 EXACT_DRIFT_REL = 2e-3  # and where each stamp places its sample
 UNEVEN_PARTS = 8  # of the first samples, if some were held up: the calmest shows how late frames usually are
-PIECE_SAMPLES = 256  # placed by one line, at most; and no more than drift by
+PIECE_SAMPLES = 256  # between two points by which the period is followed
+MOST_PIECE_SAMPLES = 1024  # placed by one line, at most; and no more than drift by
 PIECE_DRIFT_SAMPLES = 0.25
-FLAT_SAMPLES, FLAT_PIECE_SAMPLES = 0.4, 1024  # by which the earliest arrivals vary where nothing is missing
+FLAT_SAMPLES = 0.4  # by which the earliest arrivals vary where nothing is missing
 MOST_UNSURE_REL = 2e-2  # of the period
 HISTORY_PIECES = 32  # over which the period is followed
 MOST_LATE_SHARE = 0.25  # of the look-ahead: what is later was held up, and is waited for
@@ -77,6 +78,7 @@ class TimeAxis:
         self._calm: deque[float] = deque(maxlen=HISTORY_PIECES)  # the latest of each look-ahead of late
         self._latest, self._since_calm = 0.0, 0
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY_PIECES)
+        self._followed = True  # the newest of the history
         self._origin_ns = 0
 
     @property
@@ -142,7 +144,7 @@ class TimeAxis:
         earliest, whole, settled = self._beyond(lag, earliest, final)
         missing = np.zeros(n, np.int64)
         unsure = within = 0
-        size = max(1, min(PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
+        size = max(1, min(MOST_PIECE_SAMPLES, round(PIECE_DRIFT_SAMPLES / self._unsure_rel)))
         while done < n:
             stop = min(done + size, n)
             beyond = slice(done, stop + round(4.0 * (self._late + 2.0)))
@@ -187,7 +189,7 @@ class TimeAxis:
         last = earliest[-PIECE_SAMPLES:]
         base = _drift(_quantile(last, 0.5), self._unsure_rel * n)
         self._is_late(lag - base)
-        for stop in range(FLAT_PIECE_SAMPLES, n + 1, FLAT_PIECE_SAMPLES):
+        for stop in range(MOST_PIECE_SAMPLES, n + 1, MOST_PIECE_SAMPLES):
             self._remember(self._next + stop, stop + float(earliest[stop - 1]))
         index = self._next + np.arange(n)
         self._remember(self._next + n, n + base)
@@ -302,6 +304,7 @@ class TimeAxis:
         time_ns = (self._anchor_ns - self._origin_ns) + self._rest_ns + passed * self._period_ns
         if not self._history or index - self._history[-1][0] >= PIECE_SAMPLES:
             self._history.append((index, time_ns))
+            self._followed = False
 
     def _advance(self, samples: int, base: float) -> None:
         passed_ns = (samples + base) * self._period_ns + self._rest_ns
@@ -309,7 +312,8 @@ class TimeAxis:
         self._anchor_ns, self._rest_ns = self._anchor_ns + whole, passed_ns - whole
         self._next += samples
         half = len(self._history) // 2
-        if half >= 4:
+        if half >= 4 and not self._followed:
+            self._followed = True
             points = np.array(self._history)
             far = points[half:] - points[: len(points) - half]
             periods = far[:, 1] / far[:, 0]

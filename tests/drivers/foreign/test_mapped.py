@@ -280,7 +280,7 @@ def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
     raw = [32767 if k == 20 else -32768 if k == 30 else 0 if k == 40 else k for k in range(60)]
     record = run([(769, struct.pack("<h", each), 10 * MS * k) for k, each in enumerate(raw)], {"s": "B.S"})
     assert [(gap.index, gap.count) for gap in record.gaps] == [(20, 1), (30, 1)]
-    assert any("SNA" in notice.text for notice in record.notices)
+    assert any("SNA" in notice.text and "Error" in notice.text for notice in record.notices)
 
 
 @pytest.mark.parametrize(
