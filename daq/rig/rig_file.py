@@ -294,13 +294,13 @@ class LinkTable(Table):
 class RigFile(Table):
     """A Rotorscope rig file (TOML)."""
 
-    schema_: Literal[1] = Field(alias="schema")
-    rig: RigTable = RigTable()
-    band: BandTable
-    acquisition: AcquisitionTable | None = None
-    machine: MachineTable = MachineTable()
-    estimator: EstimatorTable = EstimatorTable()
-    model: ModelTable = ModelTable()
-    channel: Annotated[list[ChannelTable], Field(min_length=1)]
-    link: LinkTable = LinkTable()
-    alarm: list[AlarmTable] = []
+    schema_: Literal[1] = Field(alias="schema", description="version of this format")
+    rig: RigTable = Field(default=RigTable(), description="shaft, masses, speed, bearings")
+    band: BandTable = Field(description="of the analysis, Hz")
+    acquisition: AcquisitionTable | None = Field(default=None, description="rate and filter of the recorder")
+    machine: MachineTable = Field(default=MachineTable(), description="its class, for zones of vibration")
+    estimator: EstimatorTable = Field(default=EstimatorTable(), description="the rolling estimate of a session")
+    model: ModelTable = Field(default=ModelTable(), description="effects, and values to start from")
+    channel: Annotated[list[ChannelTable], Field(min_length=1, description="what is measured, and where")]
+    link: LinkTable = Field(default=LinkTable(), description="the device, if `--link` does not say it")
+    alarm: list[AlarmTable] = Field(default=[], description="limits and changes that are told")

@@ -148,15 +148,19 @@ class BearingTable(Table):
 
 
 class RigTable(Table):
-    name: str = ""
-    shaft: Literal["chain", "beam", "matrices", "none"] = "none"
+    name: str = Field(default="", description="of the rig; without: that of the file")
+    shaft: Literal["chain", "beam", "matrices", "none"] = Field(
+        default="none", description="chain: caps joined through the disc; beam: a free shaft; none: each cap by itself"
+    )
     bearings: Names | None = Field(default=None, description="their names; without: bearing1, bearing2")
-    speed_rpm: NotNegative | None = None
+    speed_rpm: NotNegative | None = Field(default=None, description="of the shaft; names 1X and the defects")
     ball_pass_order: Positive | None = Field(default=None, description="ball passes a turn, if geometry is unknown")
-    mass: MassTable = MassTable()
-    shaft_spring: ShaftSpringTable | None = Field(default=None, validate_default=True)
+    mass: MassTable = Field(default=MassTable(), description="what is known of the masses, kg")
+    shaft_spring: ShaftSpringTable | None = Field(
+        default=None, validate_default=True, description="of each half of the shaft; of chain and beam"
+    )
     rotor: RotorTable | None = Field(default=None, validate_default=True, description='of shaft = "matrices"')
-    bearing: BearingTable | None = None
+    bearing: BearingTable | None = Field(default=None, description="its geometry; names BPFO, BPFI, BSF, FTF")
 
     @property
     def names(self) -> tuple[str, ...]:
