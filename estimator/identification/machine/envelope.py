@@ -110,7 +110,7 @@ class _PieceSpectra:
             return
         keep = len(self._pieces) * self._pieces.size <= LIMITS.max_kept_rows
         for group in self._pieces.groups():
-            X = rfft(group.astype(np.float32), axis=1)
+            X: NDArray[Any] = rfft(group.astype(np.float32), axis=1)
             if keep:
                 self._kept.append(X)
             yield X
