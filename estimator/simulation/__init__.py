@@ -1,7 +1,6 @@
 """Records of a simulated rig, deterministic by seed."""
 
-from .shaft_speed import ShaftSpeed
 from .simulator import Simulator, simulate
-from .stepper import Stationarity, stationarity
+from .stepper import ShaftSpeed, Stationarity, stationarity
 
 __all__ = ["ShaftSpeed", "Simulator", "Stationarity", "simulate", "stationarity"]

@@ -20,8 +20,7 @@ from estimator.signals import low_pass
 
 from . import kernel as kernel
 from .plan import Plan, simulation_plan
-from .shaft_speed import ShaftSpeed
-from .stepper import Stepper, start_state
+from .stepper import ShaftSpeed, Stepper, start_state
 from .thresholds import LIMITS
 
 

@@ -26,8 +26,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
-from estimator.diagnosis.comparison.heldout import FITTED_SHARE, heldout_rmse
-from estimator.diagnosis.comparison.twin import simulation_rmse
+from estimator.diagnosis.comparison.heldout import FITTED_SHARE, heldout_rmse, simulation_rmse
 from estimator.identification.batch import fit_spectral
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 

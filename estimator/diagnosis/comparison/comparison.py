@@ -17,9 +17,8 @@ from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
 
 from .curves import FailureRegion, Law, Shape, curves, failure_regions
-from .heldout import heldout_nll, heldout_rmse, reference_nll
+from .heldout import Twin, heldout_nll, heldout_rmse, reference_nll, twin
 from .survey import survey_bearing
-from .twin import Twin, twin
 
 Progress = Callable[[float, str], None]
 

@@ -12,7 +12,7 @@ The map of where a model fails: channel by state, the region in words, the share
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -36,19 +36,29 @@ def limits_95(value: Array, sd: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
-    """Residual restoring force against a state, without the part that kL and c can take over.
+class Curve:
+    """A force against a state, with its 95 % limits.
 
-    channel : name or place. against : the state. at : (n,) values of the state, SI. force : (n,) N. band_low,
-    band_high : (n,) N, 95 % limits.
+    channel : name or place. against : the state. at : (n,) values of the state, SI. band_low, band_high : (n,) N.
     """
 
     channel: str
     against: str
     at: Array
-    force: Array
     band_low: Array
     band_high: Array
+
+    def to_json(self) -> dict[str, Any]:
+        """Names, and arrays as lists."""
+        values = {own.name: getattr(self, own.name) for own in fields(self)}
+        return {name: value if isinstance(value, str) else value.tolist() for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape(Curve):
+    """Residual restoring force (n,) N without the part that kL and c can take over."""
+
+    force: Array
 
     @classmethod
     def from_estimate(cls, channel: str, against: str, at: Array, force: Array, sd: Array) -> Shape:
@@ -56,12 +66,13 @@ class Shape:
         low, high = limits_95(force, sd)
         return cls(channel=channel, against=against, at=at, force=force, band_low=low, band_high=high)
 
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "channel": self.channel,
-            "against": self.against,
-            **{k: [float(z) for z in getattr(self, k)] for k in ("at", "force", "band_low", "band_high")},
-        }
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Law(Curve):
+    """Restoring force (n,) N without its straight line: as measured, and the model's."""
+
+    measured: Array
+    model: Array
 
 
 def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str) -> Shape:
@@ -71,19 +82,13 @@ def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channe
     names = [f"{group}.{k}" for k in range(len(knots))]
     # where other states are found too, their part is taken out by the joint fit
     fit = residual.fit if names[0] in residual.fit.names else fit_with_ridge(residual.pool.only(tuple(names)))
-    at = np.array([fit.names.index(n) for n in names])
-    scales = fit.scales[at]
-    # the force that the model lacks is added to the restoring side with the sign of delta
-    force, cov = fit.delta[at] * scales, fit.covariance[np.ix_(at, at)] * np.multiply.outer(scales, scales)
+    force, cov = fit.increments(names)  # the force that the model lacks, with the sign of the restoring side
     state = point.data.x[i] if group == "displacement" else point.data.v[i]
     rms = float(state.std())
     inside = np.abs(knots) <= min(3.5 * rms, float(np.quantile(np.abs(state), 0.999)))
     weight = np.exp(-0.5 * (knots / rms) ** 2)
-    D = np.stack([np.ones_like(knots), knots / rms], axis=1)
-    free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
-    force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
-    at_knots, force, sd = knots[inside], force[inside], sd[inside]
-    return Shape.from_estimate(channel, group, at_knots, force=force, sd=sd)
+    free = _without(np.column_stack([np.ones_like(knots), knots]), weight)[inside]
+    return Shape.from_estimate(channel, group, knots[inside], force=free @ force, sd=_sd(free, cov))
 
 
 def missing_force_curve(
@@ -106,24 +111,6 @@ def missing_force_curve(
 
 CURVE_STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
 ANGLES_DEG = np.arange(0.0, 361.0, 15.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Law:
-    """Restoring force in N against a state without its straight line: measured with its band, and the model's."""
-
-    channel: str
-    against: str
-    at: Array
-    measured: Array
-    band_low: Array
-    band_high: Array
-    model: Array
-
-    def to_json(self) -> dict[str, object]:
-        keys = ("at", "measured", "band_low", "band_high", "model")
-        named = {"channel": self.channel, "against": self.against}
-        return named | {k: [float(z) for z in getattr(self, k)] for k in keys}
 
 
 def curves(
@@ -210,27 +197,22 @@ def _of_hats(
     own = (point.force[i] - point.data.known[i] - amount)[rows]
     means, visits = on_hats(z, knots, np.stack([own, *(t.series[i][rows] for t in base)]))
     model, D = means[:, 0], means[:, 1:]
-    at = np.array([fit.names.index(n) for n in [*(t.name for t in base), *names]])
-    units = fit.scales[at]
-    values, cov = fit.delta[at] * units, fit.covariance[np.ix_(at, at)] * np.multiply.outer(units, units)
+    values, cov = fit.increments([*(t.name for t in base), *names])
     to_total = np.concatenate([D, np.eye(knots.size)], axis=1)
     to_hats = np.concatenate([np.zeros_like(D), np.eye(knots.size)], axis=1)
     rms = float(z.std())
     inside = (np.abs(knots) <= min(3.5 * rms, float(np.quantile(np.abs(z), 0.9995)))) & (visits > 0)
 
-    freed = _without(np.column_stack([np.ones_like(knots), D]), visits) @ to_hats
-    force, sd = (freed @ values)[inside], _sd(freed, cov)[inside]
+    freed = (_without(np.column_stack([np.ones_like(knots), D]), visits) @ to_hats)[inside]
     x = knots[inside]
-    shape = Shape.from_estimate(channel, state, x, force=force, sd=sd)
+    shape = Shape.from_estimate(channel, state, x, force=freed @ values, sd=_sd(freed, cov))
 
     near = np.where(np.abs(knots) <= LIMITS.inner_rms * rms, visits, 0.0) if x_state else visits
-    line = _without(np.column_stack([np.ones_like(knots), knots]), near)
-    total = line @ to_total
-    whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
-    low, high = limits_95(whole, sd)
-    law = Law(
-        channel=channel, against=state, at=x, measured=whole, band_low=low, band_high=high, model=(line @ model)[inside]
-    )
+    line = _without(np.column_stack([np.ones_like(knots), knots]), near)[inside]
+    total, modelled = line @ to_total, line @ model
+    whole = modelled + total @ values
+    low, high = limits_95(whole, _sd(total, cov))
+    law = Law(channel=channel, against=state, at=x, measured=whole, band_low=low, band_high=high, model=modelled)
     return shape, law
 
 
@@ -246,11 +228,8 @@ def _sd(A: Array, cov: Array) -> Array:
 
 def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, against: str) -> Shape:
     """A (points, columns) times the amplitudes of the columns, with its band."""
-    k = np.array([fit.names.index(n) for n in names])
-    units = fit.scales[k]
-    force = A @ (fit.delta[k] * units)
-    sd = _sd(A, fit.covariance[np.ix_(k, k)] * np.multiply.outer(units, units))
-    return Shape.from_estimate(channel, against, at, force=force, sd=sd)
+    values, cov = fit.increments(names)
+    return Shape.from_estimate(channel, against, at, force=A @ values, sd=_sd(A, cov))
 
 
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:

@@ -31,7 +31,6 @@ from estimator.likelihood.response.regressor_set import (
     regressors,
     with_second_order,
 )
-from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.model.effect import Effect
 from estimator.parallel import map_processes
 
@@ -93,11 +92,18 @@ def _one(point: WorkingPoint, placed: LocatedLaw) -> tuple[float, float] | None:
         parts.append(_gram(point, at, [*base, *extra], [m == upper for m in masks], uses, placed, used))
     names = tuple(t.name for t in base)
     (low, n_low), (high, n_high) = parts
-    here = np.array([0])
-    full, plain = _fitted(point, at, low, n_low), _fitted(point, at, low.keep(names), n_low)
-    gain = _nats(point, at, high, n_high, full, here) - _nats(point, at, high.keep(names), n_high, plain, here)
+    jacobian, here = point.jacobian.of_places(np.array(at)), np.array([0])
+
+    def fitted(gram: Gram, blocks: float) -> PathFit:
+        return fit_increments(gram, jacobian, here, np.array([blocks]), steps=8)
+
+    def nats(gram: Gram, found: PathFit) -> float:
+        return log_likelihood(gram, jacobian, found.delta, found.S, here, np.array([n_high]))
+
+    full, plain = fitted(low, n_low), fitted(low.keep(names), n_low)
+    gain = nats(high, full) - nats(high.keep(names), plain)
     q = len(extra)
-    cov_low, cov_high = full.covariance[-q:, -q:], _fitted(point, at, high, n_high).covariance[-q:, -q:]
+    cov_low, cov_high = full.covariance[-q:, -q:], fitted(high, n_high).covariance[-q:, -q:]
     try:
         loss = float(np.trace(np.linalg.solve(cov_high, cov_low)))
     except np.linalg.LinAlgError:
@@ -148,17 +154,3 @@ def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:
     Z = np.zeros((point.data.blocks, block // 2 + 1), np.complex64)
     Z[:, point.data.bins] = spectrum.view(np.complex64)
     return np.asarray(irfft(Z, block, axis=1).ravel() * np.sqrt(block / 2.0), dtype=np.float64)
-
-
-def _jacobian(point: WorkingPoint, at: tuple[int, ...]) -> Jacobian:
-    return point.jacobian.of_places(np.array(at))
-
-
-def _fitted(point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float) -> PathFit:
-    return fit_increments(gram, _jacobian(point, at), np.array([0]), np.array([blocks]), steps=8)
-
-
-def _nats(
-    point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float, found: PathFit, here: NDArray[np.int64]
-) -> float:
-    return log_likelihood(gram, _jacobian(point, at), found.delta, found.S, here, np.array([blocks]))

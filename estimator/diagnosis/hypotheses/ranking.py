@@ -15,6 +15,7 @@ from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
 from estimator.identification.residual import stiffness_order
+from estimator.identification.residual.group_fit import extra_power
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import LocatedLaw
@@ -26,6 +27,9 @@ from estimator.results import Message, Parameter
 from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
+
+
+LARGE_AMPLITUDES = "large amplitudes"  # name of the gate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +71,6 @@ class Entry:
     the ranking is sorted. explained_percent : rms of the effect's own force over the bearing force. placed : laws of a
     force effect. detectable : smallest amplitude that would be claimed in this record, and its unit; None if unknown.
     settings : parameters of an effect that is no force law, by its name in a model. notes : for the user.
-    amplitude_gain : nats on the largest amplitudes by parameters fitted to the smaller ones; None if not judged.
     by_node : gain and heldout_gain of a law at each node, nats. folds : nats gained on each held-out time fold, or part
     of the band; empty where they are not known. gates : those that were asked, in order; only the last one may have
     refused.
@@ -79,8 +82,8 @@ class Entry:
     heldout_gain: float
     _: KW_ONLY
     p_value: float
-    before_percent: float
-    after_percent: float
+    before_percent: float = 0.0
+    after_percent: float = 0.0
     parameters: dict[str, Parameter]
     score: float
     explained_percent: float = 100.0
@@ -88,7 +91,6 @@ class Entry:
     detectable: tuple[float, str] | None = None
     settings: dict[str, Settings] = field(default_factory=dict)
     notes: tuple[Message, ...] = ()
-    amplitude_gain: float | None = None
     by_node: dict[str, tuple[float, float]] = field(default_factory=dict)
     folds: tuple[float, ...] = ()
     gates: tuple[GateResult, ...] = ()
@@ -97,6 +99,11 @@ class Entry:
     def heldout_gain_sd(self) -> float | None:
         """Standard error of the held-out gain, nats, by the scatter of the folds; None where they are not known."""
         return float(np.std(self.folds, ddof=1) * np.sqrt(len(self.folds))) if len(self.folds) > 1 else None
+
+    @property
+    def amplitude_gain(self) -> float | None:
+        """Nats on the largest amplitudes by parameters fitted to the smaller ones; None if not judged."""
+        return next((g.measured for g in self.gates if g.gate == LARGE_AMPLITUDES), None)
 
     @property
     def passed(self) -> bool:
@@ -197,7 +204,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
     p = min(1.0, min(odds[n] for n in at) * tried)
     places = tuple(sorted({i for t in used for i in t.placed.at}))
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
-    power = sum(_power(point, t) for t in used)
+    power = sum(max(extra_power(point, t.problem, t.fit)[0], 0.0) for t in used)
     was = before.interval(places)[0]
     left = max(was**2 - 1e4 * power / scale, 0.0) ** 0.5
     return Entry(
@@ -268,7 +275,7 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
         p_value=min(s.p_value for s in own),
         before_percent=min(before_percent, 100.0),
         after_percent=after_percent,
-        parameters=_named_parameters(settings),
+        parameters=named_parameters(settings),
         score=gain - THRESHOLDS.parameter_cost_nats * df,
         detectable=own[0].detectable,
         settings=settings,
@@ -300,7 +307,8 @@ def _layers(model: Model, own: list[Finding]) -> dict[str, Settings]:
     return out
 
 
-def _named_parameters(settings: dict[str, Settings]) -> dict[str, Parameter]:
+def named_parameters(settings: dict[str, Settings]) -> dict[str, Parameter]:
+    """Parameters by full name. settings : by effect, place and name."""
     return {
         f"{place}.{effect}.{name}": p
         for effect, own in settings.items()
@@ -311,7 +319,7 @@ def _named_parameters(settings: dict[str, Settings]) -> dict[str, Parameter]:
 
 def with_settings(entry: Entry, settings: dict[str, Settings]) -> Entry:
     """The entry of an effect that is no force law with other numbers."""
-    return replace(entry, settings=settings, parameters=_named_parameters(settings))
+    return replace(entry, settings=settings, parameters=named_parameters(settings))
 
 
 def _node_p_value(trials: list[Trial]) -> float:
@@ -319,18 +327,6 @@ def _node_p_value(trials: list[Trial]) -> float:
     gain, df = sum(max(t.gain, 0.0) for t in trials), sum(t.df for t in trials)
     together = float(chdtrc(df, 2 * gain))
     return min(1.0, 2 * min(together, *(len(trials) * t.p_value for t in trials)))
-
-
-def _power(point: WorkingPoint, t: Trial) -> float:
-    """Mean square in N^2 of the part of the effect's force that the model's own parameters cannot take over."""
-    G = t.problem.gram.G.sum(axis=(0, 1))
-    b = len(t.problem.base)
-    theta = t.fit.delta[b:]
-    cross = G[1 + b :, 1 : 1 + b]
-    Q = G[1 + b :, 1 + b :] - cross @ np.linalg.pinv(G[1 : 1 + b, 1 : 1 + b], rcond=1e-9) @ cross.T
-    noise = np.trace(Q @ t.fit.covariance[b:, b:])
-    seconds = float(t.problem.blocks.sum()) * point.data.block / point.data.rate_hz
-    return max(float(theta @ Q @ theta - noise), 0.0) / seconds
 
 
 def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
@@ -30,8 +30,8 @@ class Hypothesis(Protocol):
         ...
 
     def propose(self, model: Model) -> Sequence[Values]:
-        """Values to try; none where the hypothesis makes no sense for this rig."""
-        ...
+        """Values to try."""
+        return [()]
 
     def apply(self, model: Model, values: Values) -> Model:
         """The model with the change."""
@@ -50,52 +50,62 @@ class Hypothesis(Protocol):
         ...
 
 
+class ScaledNumber(Hypothesis, Protocol):
+    """A number of the rig is another one."""
+
+    unit: ClassVar[str]
+
+    def number(self, model: Model) -> float:
+        """As the rig file has it, SI."""
+        ...
+
+    def propose(self, model: Model) -> Sequence[Values]:
+        return [(factor, 1.0) for factor in THRESHOLDS.trial_factors]
+
+    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
+        number = values[0] * self.number(model)
+        return {self.name: Parameter.from_estimate(number, values[1] * number, self.unit)}
+
+    def text(self, model: Model, values: Values) -> str:
+        rough = " or so" if values[1] > THRESHOLDS.max_factor_sd_log else ""
+        factor = f"{values[0]:.2g} times its value{rough}"
+        return f"check {self.name}: with {factor} the model explains the spectra of the caps"
+
+
 @dataclass(frozen=True, slots=True)
-class ScaledMass(Hypothesis):
+class ScaledMass(ScaledNumber):
     """The mass of the disc or of a cap is another one. key : of [rig.mass]."""
 
+    unit = "kg"
     key: str
 
     @property
     def name(self) -> str:
         return f"rig.mass.{self.key}"
 
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in THRESHOLDS.trial_factors] if self.key in model.mass else []
+    def number(self, model: Model) -> float:
+        return model.mass[self.key]
 
     def apply(self, model: Model, values: Values) -> Model:
-        return replace(model, mass={**model.mass, self.key: values[0] * model.mass[self.key]})
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        mass = values[0] * model.mass[self.key]
-        return {self.name: Parameter.from_estimate(mass, values[1] * mass, "kg")}
-
-    def text(self, model: Model, values: Values) -> str:
-        return _factor_text(self.name, values)
+        return replace(model, mass={**model.mass, self.key: values[0] * self.number(model)})
 
 
 @dataclass(frozen=True, slots=True)
-class ScaledSpring(Hypothesis):
+class ScaledSpring(ScaledNumber):
     """The shaft has another stiffness."""
 
+    unit = "N/m"
     name: str = "rig.shaft_spring.stiffness"
 
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [(factor, 1.0) for factor in THRESHOLDS.trial_factors]
+    def number(self, model: Model) -> float:
+        return model.shaft_stiffness
 
     def apply(self, model: Model, values: Values) -> Model:
-        return replace(model, shaft_stiffness=values[0] * model.shaft_stiffness)
-
-    def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        stiffness = values[0] * model.shaft_stiffness
-        return {self.name: Parameter.from_estimate(stiffness, values[1] * stiffness, "N/m")}
-
-    def text(self, model: Model, values: Values) -> str:
-        return _factor_text(self.name, values)
+        return replace(model, shaft_stiffness=values[0] * self.number(model))
 
 
 @dataclass(frozen=True, slots=True)
-class SwappedChannels:
+class SwappedChannels(Hypothesis):
     """Two channels have each other's place. first, second : their numbers."""
 
     first: int
@@ -104,9 +114,6 @@ class SwappedChannels:
     @property
     def name(self) -> str:
         return f"channel.{self.first}.{self.second}"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [()]
 
     def apply(self, model: Model, values: Values) -> Model:
         channels = list(model.channels)
@@ -131,7 +138,7 @@ class SwappedChannels:
 
 
 @dataclass(frozen=True, slots=True)
-class InvertedChannel:
+class InvertedChannel(Hypothesis):
     """A channel has the other sign. number : of the channel."""
 
     number: int
@@ -139,9 +146,6 @@ class InvertedChannel:
     @property
     def name(self) -> str:
         return f"channel.{self.number}.sign"
-
-    def propose(self, model: Model) -> Sequence[Values]:
-        return [()]
 
     def apply(self, model: Model, values: Values) -> Model:
         place = model.channels[self.number].place
@@ -161,12 +165,6 @@ class InvertedChannel:
         own = model.channels[self.number]
         across = [c.name for c in model.channels if c.direction == own.direction and c.kind in MOTION_UNITS]
         return f"check the mounting: the sign of {' or '.join(across)} is inverted"
-
-
-def _factor_text(name: str, values: Values) -> str:
-    """What to check of a number that a factor changes."""
-    rough = " or so" if values[1] > THRESHOLDS.max_factor_sd_log else ""
-    return f"check {name}: with {values[0]:.2g} times its value{rough} the model explains the spectra of the caps"
 
 
 def coupling_hypotheses(model: Model) -> list[Hypothesis]:

@@ -290,11 +290,10 @@ def holds_at_large_amplitudes(entry: Entry, context: Context) -> GateResult:
     """A law of displacement fitted to the smaller motion predicts the largest."""
     concerned = gate_amplitude.is_displacement_law(entry.law)
     told = gate_amplitude.extrapolated(context.survey.part, entry.placed) if concerned else None
+    gate = ranking.LARGE_AMPLITUDES
     if told is None:
-        return GateResult(gate="large amplitudes", passed=True)
-    return GateResult(
-        gate="large amplitudes", passed=not told.refused, measured=told.gain, limit=-told.allowed, text="nats gained"
-    )
+        return GateResult(gate=gate, passed=True)
+    return GateResult(gate=gate, passed=not told.refused, measured=told.gain, limit=-told.allowed, text="nats gained")
 
 
 def told_from_zero(entry: Entry, context: Context) -> GateResult:
@@ -330,7 +329,5 @@ def judged(entry: Entry, context: Context) -> Entry:
         said.append(gate(entry, context))
         if not said[-1].passed:
             break
-    amplitude = next((g.measured for g in said if g.gate == "large amplitudes"), None)
     known = context.fits.get(entry.effect)
-    best = entry if known is None else known.entry
-    return replace(best, gates=tuple(said), amplitude_gain=amplitude)
+    return replace(entry if known is None else known.entry, gates=tuple(said))

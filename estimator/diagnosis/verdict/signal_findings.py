@@ -5,13 +5,13 @@ The verdict on a record of which a sensor clips.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.ranking import Entry, named_parameters
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
@@ -149,21 +149,22 @@ def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) ->
 
 
 def line_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
-    """Lines that hold a large share of the power of a channel, the largest first. 1X and 2X are of every shaft."""
-    shares = [
-        (amplitude**2 / 2.0 / rms**2, tone, name)
-        for tone in machine.tones
-        if tone.order not in (1.0, 2.0) or tone.kind != "order"
-        for name, amplitude in tone.amplitude.items()
-        if name in record.channels and (rms := record.channels[name].rms)
-    ]
-    large = sorted((s for s in shares if s[0] >= MACHINE_THRESHOLDS.min_line_power_share), key=lambda s: -s[0])[:1]
-    out = []
-    for _, tone, name in large:
-        place = _place(model, name)
-        parameters = {f"{place}.{LINE.name}.frequency": Parameter(tone.frequency_hz, None, "Hz")}
-        out.append(_entry(LINE.name, place, tone.p_value, parameters))
-    return out
+    """The line that holds the largest share of the power of a channel, if it is large. 1X and 2X are of every shaft."""
+    own = [tone for tone in machine.tones if tone.order not in (1.0, 2.0) or tone.kind != "order"]
+    share, tone, name = max(_power_shares(record, own), key=lambda s: s[0], default=(0.0, None, ""))
+    if tone is None or share < MACHINE_THRESHOLDS.min_line_power_share:
+        return []
+    place = _place(model, name)
+    parameters = {f"{place}.{LINE.name}.frequency": Parameter(tone.frequency_hz, None, "Hz")}
+    return [_entry(LINE.name, place, tone.p_value, parameters)]
+
+
+def _power_shares(record: RecordSurvey, tones: Iterable[Tone]) -> Iterator[tuple[float, Tone, str]]:
+    """Share of the power of a channel that a tone holds, the tone, and the name of the channel."""
+    for tone in tones:
+        for name, amplitude in tone.amplitude.items():
+            if name in record.channels and (rms := record.channels[name].rms):
+                yield amplitude**2 / 2.0 / rms**2, tone, name
 
 
 def tones_of_surroundings(record: RecordSurvey, machine: MachineSurvey) -> frozenset[str]:
@@ -174,13 +175,8 @@ def tones_of_surroundings(record: RecordSurvey, machine: MachineSurvey) -> froze
     """
     if all(tone.kind != "mains" for tone in machine.tones):
         return frozenset()
-    unexplained = any(
-        amplitude**2 / 2.0 >= MACHINE_THRESHOLDS.min_unexplained_power_share * rms**2
-        for tone in machine.tones
-        if tone.kind == "other"
-        for name, amplitude in tone.amplitude.items()
-        if name in record.channels and (rms := record.channels[name].rms)
-    )
+    others = _power_shares(record, (tone for tone in machine.tones if tone.kind == "other"))
+    unexplained = any(share >= MACHINE_THRESHOLDS.min_unexplained_power_share for share, _, _ in others)
     lines = frozenset(LINE_NAMES)
     return frozenset(PERIODIC_EFFECTS) - {LOCAL_DEFECT.name} - (lines if unexplained else frozenset())
 
@@ -236,8 +232,8 @@ def _entry(effect: str, place: str, p_value: float, parameters: dict[str, Parame
     """An entry of the ranking. Its force is unknown without a model of the bearing: no share of it is given."""
     nats = -float(np.log(max(p_value, THRESHOLDS.min_p_value)))
     return Entry(
-        effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value, before_percent=0.0,
-        after_percent=0.0, parameters=parameters, score=nats,
+        effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value,
+        parameters=parameters, score=nats,
     )  # fmt: skip
 
 
@@ -266,6 +262,7 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
     if not clipped:
         return found
     settings = {channel.place: {"level": level_parameter(level, channel.kind)} for channel, level in clipped}
+    by_effect = {SENSOR_CLIPPING.name: settings}
     counts = [count for _, (_, count) in clipped]
     entry = Entry(
         effect=SENSOR_CLIPPING.name,
@@ -273,13 +270,9 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
         gain=float(sum(counts)),
         heldout_gain=float(sum(counts) - len(counts)),
         p_value=min(map(pileup_p_value, counts)),
-        before_percent=0.0,
-        after_percent=0.0,
-        parameters={
-            f"{place}.{SENSOR_CLIPPING.name}.{name}": p for place, own in settings.items() for name, p in own.items()
-        },
+        parameters=named_parameters(by_effect),
         score=np.inf,
-        settings={SENSOR_CLIPPING.name: settings},
+        settings=by_effect,
         notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
     )
     if found.verdict in ("complete", "unknown"):

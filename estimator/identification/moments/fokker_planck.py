@@ -23,6 +23,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from estimator.arrays import Array
 from estimator.errors import DataError
@@ -287,13 +288,7 @@ def _uncoupled_parameters(
         found, cov = fokker_planck_parameters(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
         values |= found
         parts.append(cov)
-    size = sum(len(c) for c in parts)
-    covariance = np.zeros((size, size))
-    at = 0
-    for c in parts:
-        covariance[at : at + len(c), at : at + len(c)] = c
-        at += len(c)
-    return values, covariance
+    return values, np.asarray(block_diag(*parts))
 
 
 def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:

@@ -25,9 +25,16 @@ from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
 
 from .plane_moments import Form, PlaneMoments
-from .planes import Plane, density_band, ignored_effects, planes_of
+from .planes import (
+    Plane,
+    density_band,
+    ignored_effects,
+    planes_of,
+    synchronous_lines,
+    synchronous_message,
+    synchronous_orders,
+)
 from .stationary import check_resonance, density_messages, softening_message
-from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
 from .thresholds import LIMITS
 
 LEFT_OUT_REASON = "score matching leaves it out: use the spectral method"

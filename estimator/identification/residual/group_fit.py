@@ -72,7 +72,8 @@ def ridge_information(problem: Subproblem) -> float:
 
 def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
     """Degrees of freedom of the named regressors that the others do not span."""
-    Q, _, index = freed_gram(problem, fit)
+    Q, _ = freed_gram(problem, fit)
+    index = problem.extra
     whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]
     at = [index.index(n) for n in names if n in index]
     others = [k for k in range(len(index)) if k not in at]
@@ -85,22 +86,25 @@ def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> 
     return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + LIMITS.ridge_share))))
 
 
-def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
-    """Gram matrix (extra, extra) of the extra regressors, N^2/Hz, projected on the complement of the base; the
-    covariance (extra, extra) of their coefficients; and their names."""
+def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array]:
+    """Gram matrix (extra, extra) of the extra regressors, N^2/Hz, projected on the complement of the base;
+    the covariance (extra, extra) of their coefficients."""
     G = problem.gram.G.sum(axis=(0, 1))
     b = len(problem.base)
     Gb, Ge, Gc = G[1 : 1 + b, 1 : 1 + b], G[1 + b :, 1 + b :], G[1 + b :, 1 : 1 + b]
     Q = Ge - Gc @ np.linalg.pinv(Gb, rcond=1e-9) @ Gc.T
-    return Q, fit.covariance[b:, b:], problem.extra
+    return Q, fit.covariance[b:, b:]
 
 
-def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
-    """Unbiased mean square of the force of the extra regressors at location i, N^2, and its standard deviation."""
-    Q, cov, _ = freed_gram(problem, fit)
+def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit) -> tuple[float, float]:
+    """Unbiased mean square of the force of the extra regressors of a problem, N^2, and its standard deviation.
+
+    The model's own parameters take over the rest of that force.
+    """
+    Q, cov = freed_gram(problem, fit)
     if not len(Q):
         return 0.0, 0.0
-    per_second = point.data.rate_hz / point.data.block / point.data.blocks
+    per_second = point.data.rate_hz / point.data.block / float(problem.blocks.sum())
     theta = fit.delta[len(problem.base) :]
     QC = Q @ cov
     P = float(theta @ Q @ theta - np.trace(QC)) * per_second
@@ -108,7 +112,7 @@ def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) 
     return P, float(np.sqrt(max(variance, 0.0))) * per_second
 
 
-def hidden_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
+def hidden_power(point: WorkingPoint, problem: Subproblem, fit: PathFit) -> float:
     """Upper 95 % limit of the power (N^2) of a group that was not found, by the normal approximation."""
-    P, sd = extra_power(point, problem, fit, i)
+    P, sd = extra_power(point, problem, fit)
     return max(P, 0.0) + 1.645 * sd

@@ -127,14 +127,14 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
         p = min(1.0, best.p_value * tries)
         if p > LIMITS.max_group_p_value:
             break
-        total, _ = extra_power(point, best.problem, best.fit, i)
+        total, _ = extra_power(point, best.problem, best.fit)
         if total - power < least:
             break
         current, fitted, level = best.problem, best.fit, best.log_likelihood
         more = max(total - power, 0.0)
         found.append(FoundGroup(place=i, group=best.name, power_N2=more, gain_nats=best.gain_nats, p_value=p))
         power = max(total, power)
-    P, sd = extra_power(point, current, fitted, i) if found else (0.0, 0.0)
+    P, sd = extra_power(point, current, fitted) if found else (0.0, 0.0)
     return PlaceResidual(
         place=i,
         found=tuple(found),
@@ -171,7 +171,7 @@ def _try_group(
     fit = fit_with_ridge(trial)
     reached = trial.likelihood(fit, everything)
     gained, p = reached - level, group_p_value(trial, fit, names[name], reached - level)
-    hidden = 0.0 if chosen else hidden_power(point, trial, fit, i)
+    hidden = 0.0 if chosen else hidden_power(point, trial, fit)
     if name in knots:
         bound, curve, own = fit_polynomial(trial, names[name], knots[name])
         again = bound.likelihood(curve, everything) - level

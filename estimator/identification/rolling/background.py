@@ -29,8 +29,7 @@ from estimator.signals.channel_response import corrected_record
 
 from .anchor import anchor_at
 from .follower import Follower
-from .report import is_coloured
-from .start import FirstFit, first_record
+from .start import FirstFit, first_record, is_coloured
 from .thresholds import LIMITS
 
 

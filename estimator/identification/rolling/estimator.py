@@ -36,9 +36,8 @@ from .anchor import anchor_at
 from .background import BackgroundSearch, Run, in_line
 from .follower import Follower
 from .piece import joined_motion, piece_record
-from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import FirstFit, first_fit
+from .start import FirstFit, first_fit, is_coloured, judged_parameters
 from .thresholds import LIMITS
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 

@@ -137,10 +137,16 @@ class PathFit:
     log_likelihood: float
     scales: Array
 
+    def increments(self, names: list[str]) -> tuple[Array, Array]:
+        """(n,) increments of parameters, and their covariance (n, n), SI units."""
+        at = [self.names.index(name) for name in names]
+        units = self.scales[at]
+        return self.delta[at] * units, self.covariance[np.ix_(at, at)] * np.multiply.outer(units, units)
+
     def value(self, name: str) -> tuple[float, float]:
         """Increment and standard deviation of a parameter, SI units."""
-        k = self.names.index(name)
-        return float(self.delta[k] * self.scales[k]), float(np.sqrt(self.covariance[k, k]) * self.scales[k])
+        value, covariance = self.increments([name])
+        return float(value[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def log_likelihood(

@@ -12,7 +12,6 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
-from estimator.likelihood.response.regressor_set import block_tangents
 from estimator.likelihood.thresholds import LIMITS
 
 from .path_fit import information_inverse
@@ -68,26 +67,4 @@ def _block_scores(point: WorkingPoint) -> Array:
         out[:, at] -= 2 * np.einsum("kbf,bf->bk", Z, force, dtype=np.float64) / fit.S[i]
         power = np.einsum("bf,bf->b", force, force, dtype=np.float64)
         out[:, k + i] = power / fit.S[i] - gram.n[i].sum() / data.blocks
-    _add_own_tangents(point, out)
     return out
-
-
-def _add_own_tangents(point: WorkingPoint, scores: Array) -> None:
-    """Add to the scores (blocks, k + places) what the mean tangent of each block has more than that of the record.
-
-    The score of a law is its force times the residual force, less S times the response of its mean tangent. With more
-    motion the tangent is another one. With the tangent of the record the scores scatter more than they do.
-    """
-    data, s, names = point.data, point.whitening.s, list(point.fit.names)
-    inverse = np.linalg.inv(point.jacobian.A0) * point.jacobian.weight[:, None, None]
-    if point.whitening.measured is not None:
-        inverse = point.whitening.measured @ inverse
-    for use in point.placed if data.x.size and not data.measured_force else ():
-        for k in (k for k in range(use.p.size) if use.effect.kind == "force" and use.name(k) in names):
-            column = names.index(use.name(k))
-            for i in use.at:
-                own = inverse[:, i, i]
-                response = np.array([(own / s**2).real.sum(), (own / s).real.sum()])
-                tangents = block_tangents(use, k, data, i)
-                apart = (tangents - tangents.mean(axis=0)) * point.fit.scales[column]
-                scores[:, column] += apart @ response

@@ -38,8 +38,8 @@ def test_a_bound_fit_is_the_same_force_in_terms_of_hat_functions(hats: Hats) -> 
     back = group_fit.as_hat_functions(problem, bound, fit, names, knots)
     everything = np.arange(len(problem.blocks))
     assert problem.likelihood(back, everything) == pytest.approx(bound.likelihood(fit, everything), abs=1e-3)
-    power, _ = group_fit.extra_power(hats[0], problem, back, 0)
-    again, _ = group_fit.extra_power(hats[0], bound, fit, 0)
+    power, _ = group_fit.extra_power(hats[0], problem, back)
+    again, _ = group_fit.extra_power(hats[0], bound, fit)
     assert power == pytest.approx(again, rel=0.02)
 
 
