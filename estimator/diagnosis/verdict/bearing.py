@@ -49,8 +49,8 @@ LEAVES_LITTLE = "leaves little"  # name of the gate
 
 
 @dataclass(frozen=True, slots=True)
-class BearingJudgement:
-    """What the bearing layer says of a record: the law that the model of the bearings lacks.
+class Judgement:
+    """What is said of a record.
 
     Parameters
     ----------
@@ -59,17 +59,11 @@ class BearingJudgement:
     ranking : tuple of Entry
         Candidates with their evidence, best first.
     shape : Shape or None
-        Force against the state that it depends on, where the verdict is "unknown"; else None.
+        Force against the state that it depends on, where a force is missing that no effect explains; else None.
     separates : str
         What tells the first of the ranking from the second, a sentence.
     messages : tuple of Message
         Remarks for the user.
-    judged : bool
-        Whether the record carries a judgement of the bearings.
-    reason : str
-        Why the bearings are not judged, one line; empty where they are.
-    pair : Entry or None
-        Two laws of one state as one candidate, where the verdict is "unknown" and they leave little together.
     """
 
     verdict: str
@@ -78,6 +72,32 @@ class BearingJudgement:
     separates: str = ""
     _: KW_ONLY
     messages: tuple[Message, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Its keys in the result of diagnose."""
+        out: dict[str, Any] = {
+            "schema": 1,
+            "verdict": self.verdict,
+            "ranking": [e.to_json() for e in self.ranking],
+            "separates": self.separates,
+        } | messages_json(self.messages)
+        return out if self.shape is None else out | {"shape": self.shape.to_json()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BearingJudgement(Judgement):
+    """What the bearing layer says of a record: the law that the model of the bearings lacks.
+
+    Parameters
+    ----------
+    judged : bool
+        Whether the record carries a judgement of the bearings.
+    reason : str
+        Why the bearings are not judged, one line; empty where they are.
+    pair : Entry or None
+        Two laws of one state as one candidate, where the verdict is "unknown" and they leave little together.
+    """
+
     judged: bool = True
     reason: str = ""
     pair: Entry | None = None
@@ -86,17 +106,6 @@ class BearingJudgement:
     def not_judged(cls, reason: str) -> BearingJudgement:
         """The answer for a record that does not carry a judgement of the bearings. reason : one line."""
         return cls("unknown", (), judged=False, reason=reason)
-
-    def to_json(self) -> dict[str, Any]:
-        """Keys of the result of diagnose that the bearing layer fills."""
-        out: dict[str, Any] = {
-            "schema": 1,
-            "verdict": self.verdict,
-            "ranking": [e.to_json() for e in self.ranking],
-            "separates": self.separates,
-            "bearing": {"judged": self.judged, "reason": self.reason},
-        } | messages_json(self.messages)
-        return out if self.shape is None else out | {"shape": self.shape.to_json()}
 
 
 def quiet(fraction: float, text: str) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.curves import Shape
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -23,7 +22,7 @@ from estimator.identification.structure import StructureSurvey
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, judge_bearing, judged_mistake, quiet
+from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake, quiet
 from .signal_findings import (
     line_entries,
     rig_file_entry,
@@ -42,21 +41,11 @@ ROTOR_UNTRIED = Message(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Diagnosis:
+class Diagnosis(Judgement):
     """What is said of a record: four layers, each of which stands without the later ones, and their verdict.
 
     Parameters
     ----------
-    verdict : str
-        Name of an effect, "complete", "unknown" or "rig_file".
-    ranking : tuple of Entry
-        Candidates with their evidence, best first.
-    shape : Shape or None
-        Force against the state that it depends on, where a force is missing that no effect explains; else None.
-    separates : str
-        What tells the first of the ranking from the second, a sentence.
-    messages : tuple of Message
-        Remarks for the user.
     record : RecordSurvey
         Whether the record is fit to be judged.
     machine : MachineSurvey
@@ -67,11 +56,6 @@ class Diagnosis:
         Laws of the bearings, or why they are not judged.
     """
 
-    verdict: str
-    ranking: tuple[Entry, ...]
-    shape: Shape | None = None
-    separates: str = ""
-    messages: tuple[Message, ...] = ()
     record: RecordSurvey
     machine: MachineSurvey
     structure: StructureSurvey
@@ -79,11 +63,8 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The result of diagnose, by its schema."""
-        found = replace(
-            self.bearing, verdict=self.verdict, ranking=self.ranking, shape=self.shape, separates=self.separates,
-            messages=self.messages,
-        )  # fmt: skip
-        return found.to_json() | {
+        return Judgement.to_json(self) | {
+            "bearing": {"judged": self.bearing.judged, "reason": self.bearing.reason},
             "record": self.record.to_json(),
             "machine": self.machine.to_json(),
             "structure": self.structure.to_json(),

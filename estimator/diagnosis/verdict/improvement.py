@@ -9,6 +9,7 @@ from typing import Any
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, found_by
 from estimator.identification.batch.full_fit import fit_all_effects
@@ -24,7 +25,6 @@ from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing, quiet
 from .ladder import CAUSES_OF_SPECTRUM, Ladder, Rung
 from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings, with_clipped_channels
 
-Progress = Callable[[float, str], None]
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 
 
