@@ -323,7 +323,8 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
-    return with_known_response(with_extra(point, plain, i, made, names, scales, tangents, apart)), knots
+    at = {i: (np.arange(scales.size), made)}
+    return with_known_response(with_extra(point, plain, at, names, scales, tangents, apart)), knots
 
 
 def with_known_response(problem: Subproblem) -> Subproblem:

@@ -5,7 +5,7 @@ The gain in nats of a law with given searched parameters: its amplitudes fitted 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,6 +24,8 @@ from estimator.model.effect import EffectParameter
 
 from .path_fit import Gram, PathFit, fit_increments, log_likelihood
 from .working_point import WorkingPoint
+
+FoldProducts = tuple[NDArray[np.int64], Array, Array]  # rows of G, products with them, products of new ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,53 +96,52 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     Other places keep responding through the shaft, in the residual force and in the Jacobian.
     """
     at = np.array(coupled_places(point, places))
-    own = point.whitened
-    base = base_regressors(point, at)
-    q = 0 if extra is None else len(extra.names)
-    size = 1 + len(base) + q
-    G = np.zeros((at.size, TIME_FOLDS, size, size))
+    own, base = point.whitened, base_regressors(point, at)
     rows = np.array([0] + [1 + k for k in base])
-    G[:, :, : rows.size, : rows.size] = point.gram.G[at][:, :, rows[:, None], rows]
-    tangents, scales, apart = own.tangents[base], own.scales[base], own.apart[base]
     names = tuple(own.names[k] for k in base)
-    if extra is not None:
-        for number, i in enumerate(at):
-            _extend(point, int(i), extra, base, G[number])
-        tangents = np.concatenate([tangents, extra.tangents])
-        scales = np.concatenate([scales, extra.scales])
-        apart = np.concatenate([apart, extra.apart])
-    tangents = point.jacobian.tangents(tangents, at)
-    new = () if extra is None else extra.names
-    merged = Gram(
-        G=G, n=point.gram.n[at], log_weight=point.gram.log_weight[at], tangents=tangents, scales=scales,
-        names=names + new, apart=_among(apart, at), s=point.whitening.s,
+    gram = Gram(
+        G=np.ascontiguousarray(point.gram.G[at][:, :, rows[:, None], rows]), n=point.gram.n[at],
+        log_weight=point.gram.log_weight[at], tangents=point.jacobian.tangents(own.tangents[base], at),
+        scales=own.scales[base], names=names,
+        apart=_among(own.apart[base], at), s=point.whitening.s,
     )  # fmt: skip
-    inside = tuple(int(i) for i in at)
-    return Subproblem(
-        places=inside, gram=merged, jacobian=point.jacobian.of_places(at), blocks=point.data.fold_blocks, base=names,
-        extra=new, prior_information=point.prior_information[base],
+    plain = Subproblem(
+        places=tuple(at.tolist()), gram=gram, jacobian=point.jacobian.of_places(at), blocks=point.data.fold_blocks,
+        base=names, extra=(), prior_information=point.prior_information[base],
     )  # fmt: skip
+    if extra is None:
+        return plain
+    made = {}
+    for i in plain.places:
+        if (X := extra.spectra.get(i)) is not None:
+            folds = [fold_products(point, i, base, f, X[:, fold_slice(point, f)]) for f in range(TIME_FOLDS)]
+            made[i] = extra.index[i], folds
+    return with_extra(point, plain, made, extra.names, extra.scales, extra.tangents, extra.apart)
 
 
 def with_extra(
-    point: WorkingPoint, plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]],
+    point: WorkingPoint, plain: Subproblem, made: Mapping[int, tuple[NDArray[np.int64], Sequence[FoldProducts]]],
     names: tuple[str, ...], scales: Array, tangents: Complexes, apart: Array,
 ) -> Subproblem:  # fmt: skip
-    """A problem without trial regressors, extended by those of place i.
+    """A problem without trial regressors, extended by some.
 
-    made : their `fold_products`, fold by fold. tangents : (extra, all places, all places, bins), apart : (extra, folds,
-    all places, all places, 2), scaled.
+    made : by place, which of them act there, and their products, fold by fold. tangents : (extra, all places, all
+    places, bins), apart : (extra, folds, all places, all places, 2), scaled.
     """
     old, first = plain.gram, 1 + len(plain.base)
     size, at = first + len(names), np.array(plain.places)
     G = np.zeros((*old.G.shape[:2], size, size))
     G[:, :, :first, :first] = old.G
-    for f, one in enumerate(made):
-        fill_products(G[plain.places.index(i), f], np.arange(first, size), *one)
+    for i, (own, folds) in made.items():
+        for f, (rows, C, square) in enumerate(folds):
+            part, new = G[plain.places.index(i), f], first + own
+            part[rows[:, None], new] = C
+            part[new[:, None], rows] = C.T
+            part[new[:, None], new] = square
     joined = Gram(
         G=G, n=old.n, log_weight=old.log_weight,
         tangents=np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
-        scales=np.concatenate([old.scales, scales]),  names=old.names + names,
+        scales=np.concatenate([old.scales, scales]), names=old.names + names,
         apart=np.concatenate([old.apart, _among(apart, at)]), s=old.s,
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)
@@ -151,25 +152,13 @@ def _among(apart: Array, at: NDArray[np.int64]) -> Array:
     return np.asarray(apart[:, :, at[:, None], at])
 
 
-def _extend(point: WorkingPoint, i: int, extra: WhitenedRegressors, base: list[int], G: Array) -> None:
-    """Fill the products of the trial regressors of one place into G (folds, 1 + k, 1 + k)."""
-    if i not in extra.spectra:
-        return
-    X = extra.spectra[i]
-    at_extra = 1 + len(base) + extra.index[i]
-    for f in range(TIME_FOLDS):
-        fill_products(G[f], at_extra, *fold_products(point, i, base, f, X[:, fold_slice(point, f)]))
-
-
 def fold_slice(point: WorkingPoint, f: int) -> slice:
     """The blocks of a fold."""
     here = np.flatnonzero(point.data.fold == f)
     return slice(int(here[0]), int(here[-1]) + 1)
 
 
-def fold_products(
-    point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum
-) -> tuple[NDArray[np.int64], Array, Array]:  # fmt: skip
+def fold_products(point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum) -> FoldProducts:
     """Rows of G of the residual force and the base regressors at place i, and the products with spectra of fold f.
 
     X : (q, blocks, 2 bins). The products are (rows, q) with X and (q, q) of X with itself.
@@ -179,13 +168,6 @@ def fold_products(
     cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
     rows = np.array([0] + [1 + base.index(int(k)) for k in own.index[i]])
     return rows, (cross @ Z.T).astype(np.float64), (Z @ Z.T).astype(np.float64)
-
-
-def fill_products(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: Array, square: Array) -> None:
-    """Put products into G (1 + k, 1 + k). at : rows of the new regressors."""
-    G[rows[:, None], at] = C
-    G[at[:, None], rows] = C.T
-    G[at[:, None], at] = square
 
 
 def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
