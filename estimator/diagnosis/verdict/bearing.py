@@ -172,9 +172,8 @@ def _judged_by_rule(
     ranking = (*named, *(e for e in entries if e not in named))
     ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if _left(e) is not None]
     notes = _more_missing(named[0]) if named[0].placed else named[0].notes
-    return BearingJudgement(
-        named[0].effect, ranking, separates=separation_text(ranking), messages=(*ahead, *notes)
-    )  # fmt: skip
+    said = (*ahead, *notes)
+    return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=said)
 
 
 def _is_tone(entry: Entry) -> bool:
