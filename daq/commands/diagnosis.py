@@ -125,7 +125,8 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         missing = f"{before:.2f} -> {after:.2f}" if before or after else ""  # of a tone or strikes it is unknown
         parameters = ", ".join(
             f"{k} {number(p['value'], p['sd'])} {p['unit'] if p['unit'] != '1' else ''}".rstrip()
-            for k, p in row["parameters"].items() if p["identifiable"]
+            for k, p in row["parameters"].items()
+            if p["identifiable"]
         )
         seen = row.get("detectable_from")
         limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""

@@ -35,7 +35,7 @@ from .ring import KeptSamples
 KEPT_S = 30.0  # of samples
 ENOUGH_S = 7.0  # of the new state, to try the catalogue on
 EVERY_S = 60.0  # at most so often
-CALM_S = 20.0  # after a change: what follows within it is the estimator settling
+SETTLING_S = 20.0  # after a change: what follows within it is the estimator settling
 NEW_FORCE_RATIO = 1.5  # times the missing force of the last time: something else has come
 MIN_MEMORY_SHARE = 0.6  # of its length: an estimator whose memory falls below that has dropped what is before a change
 CHILD_S = 120.0
@@ -146,7 +146,7 @@ class Naming:
             return
         if self._since is None or before.index - before.samples >= self._since:  # it had forgotten the old state
             self._since = now.index
-        settling = self._changed is not None and now.index - self._changed < CALM_S * self._rate_hz
+        settling = self._changed is not None and now.index - self._changed < SETTLING_S * self._rate_hz
         self._changed = now.index if not settling else self._changed
         moved = []
         for name, p in now.parameters.items():
@@ -170,7 +170,7 @@ class Naming:
                 self._level = max(self._level, extra[MISSING_FORCE_KEY])
             return
         self._level = extra[MISSING_FORCE_KEY]
-        if self._asked is not None and now.index - self._asked < CALM_S * self._rate_hz:
+        if self._asked is not None and now.index - self._asked < SETTLING_S * self._rate_hz:
             return  # the diagnosis after a jump has just told of it
         if self._since is None:
             self._since = now.index  # what is before may be of a time when nothing was missing

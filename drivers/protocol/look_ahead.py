@@ -27,12 +27,12 @@ def earliest_ahead(lag: F64Array, ahead: int) -> F64Array:
     return window
 
 
-def calm_ends(
+def even_ends(
     lag: F64Array, earliest: F64Array, ahead: int, usual: float, final: bool
 ) -> tuple[I64Array, BoolArray] | None:
-    """Where the look-ahead of each sample ends, and whether it ends in a calm; None if none was held up.
+    """Where the look-ahead of each sample ends, and whether it ends in an even one; None if none was held up.
 
-    A calm is a look-ahead in which no sample was held up. usual : samples by which frames are late in a calm.
+    In an even look-ahead no sample was held up. usual : samples by which frames are late in one.
     final : nothing comes behind the last sample.
     """
     held_up = np.flatnonzero(lag - earliest > usual + HELD_UP_SAMPLES)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .first_period import LEAST_SAMPLES, first_period
-from .look_ahead import calm_ends, earliest_ahead, earliest_until
+from .look_ahead import earliest_ahead, earliest_until, even_ends
 from .period import NOMINAL_REL, Period, off_nominal, round_rate
 
 LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
@@ -23,7 +23,7 @@ MAX_LOOK_AHEAD = 4096  # samples
 MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
 FOLLOWED_DRIFT_REL = 2e-4  # once it has been followed for long
 EXACT_DRIFT_REL = 2e-3  # and where each stamp places its sample
-UNEVEN_PARTS = 8  # of the first samples, if some were held up: the calmest shows how late frames usually are
+UNEVEN_PARTS = 8  # of the first samples, if some were held up: the most even one shows how late frames usually are
 PIECE_SAMPLES = 256  # between two points by which the period is followed
 MOST_PIECE_SAMPLES = 1024  # placed by one line, at most; and no more than drift by
 PIECE_DRIFT_SAMPLES = 0.25
@@ -75,8 +75,8 @@ class TimeAxis:
         self._least_unsure_rel = MAX_DRIFT_REL
         self._unsure_rel = MAX_DRIFT_REL  # of the period, so much of which is followed
         self._late = 0.0  # samples by which frames have lately been late
-        self._calm: deque[float] = deque(maxlen=HISTORY_PIECES)  # the latest of each look-ahead of late
-        self._latest, self._since_calm = 0.0, 0
+        self._even_late: deque[float] = deque(maxlen=HISTORY_PIECES)  # the latest of each look-ahead of late
+        self._latest, self._since_even = 0.0, 0
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY_PIECES)
         self._followed = True  # the newest of the history
         self._origin_ns = 0
@@ -175,9 +175,9 @@ class TimeAxis:
         return Placed(index, unsure, within)
 
     def _beyond(self, lag: F64Array, earliest: F64Array, final: bool) -> tuple[F64Array, int, BoolArray]:
-        """The earliest arrivals up to a calm, of how many samples they are known, and which came to a calm at all."""
+        """The earliest arrivals up to an even look-ahead, of how many samples they are known, and which came to one."""
         n, ahead = len(lag), self._ahead()
-        found = calm_ends(lag, earliest, ahead, min(self._calm), final)
+        found = even_ends(lag, earliest, ahead, min(self._even_late), final)
         if found is None:
             return earliest, max(0, n - ahead + 1), np.ones(n, np.bool_)
         ends, settled = found
@@ -197,14 +197,14 @@ class TimeAxis:
         return Placed(index)
 
     def _is_late(self, late: F64Array) -> None:
-        """Follow by how many samples frames are late, and by how many in a calm."""
+        """Follow by how many samples frames are late, and by how many in an even look-ahead."""
         ahead = self._ahead()
         self._late = max(min(_quantile(late, 0.98), MOST_LATE_SHARE * ahead), 0.9 * self._late)
         self._latest = max(self._latest, float(late.max()))
-        self._since_calm += len(late)
-        if self._since_calm >= max(ahead, PIECE_SAMPLES):
-            self._calm.append(self._latest)
-            self._latest, self._since_calm = 0.0, 0
+        self._since_even += len(late)
+        if self._since_even >= max(ahead, PIECE_SAMPLES):
+            self._even_late.append(self._latest)
+            self._latest, self._since_even = 0.0, 0
 
     def _apart(self, found: I64Array, level: int) -> int:
         """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""
@@ -224,7 +224,7 @@ class TimeAxis:
             return result, n
         raw = np.maximum.accumulate(np.maximum(raw, level))
         steps = [*np.flatnonzero(np.diff(raw, prepend=level) > 0).tolist(), n]
-        late = min(self._late, *self._calm)
+        late = min(self._late, *self._even_late)
         for start, stop in zip(steps[:-1], steps[1:], strict=True):
             if start >= whole and not final:
                 return result, start  # a later frame may still catch up
@@ -290,7 +290,7 @@ class TimeAxis:
         late: F64Array = lag - earliest_ahead(lag, ahead)
         self._late = max(0.0, _quantile(late, 0.9))
         parts = np.array_split(late, 1 if first.even else UNEVEN_PARTS)
-        self._calm.append(min(float(part.max()) for part in parts if len(part)))
+        self._even_late.append(min(float(part.max()) for part in parts if len(part)))
         number = np.arange(len(times[:ahead])) + (np.cumsum(self._hints[:ahead]) if self.trust_hints else 0)
         self._rest_ns = float((times[:ahead] - times[0] - number * self._period_ns).min())
         return True

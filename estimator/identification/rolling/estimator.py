@@ -131,7 +131,7 @@ class RollingEstimator:
         self._next = 0  # first row of the next piece of motion
         self._pieces = 0  # of motion, since the start
         self._follower: Follower | None = None
-        self._calm: DenoisingFilter | None = None
+        self._denoising: DenoisingFilter | None = None
         self._margin = 0  # rows that a piece of motion needs on either side of its own
         self._first: FirstFit
         self._fault = ""  # why a piece since the last estimate was of no use
@@ -266,7 +266,7 @@ class RollingEstimator:
             self._margin = max(
                 self._margin, round(LIMITS.ringing_times * data.background.longest_ringing_s * self.rate_hz)
             )
-        self._calm = record_denoising_filter(data, point.nu, point.S) if denoised else None
+        self._denoising = record_denoising_filter(data, point.nu, point.S) if denoised else None
         watched = located_laws(candidates(first.model, self.watch), data)
         anchor = anchor_at(data, point.kL, point.c, point.nu, point.S, point.placed, watched)
         self._first = replace(first, point=point.without_rows())
@@ -306,7 +306,7 @@ class RollingEstimator:
         phase = self._shaft.angle(motion.start, motion.start + motion.rows)
         if phase is None:
             return None
-        return piece_record(follower.anchor.data, self._first.model, motion, phase, self._calm, self._margin)
+        return piece_record(follower.anchor.data, self._first.model, motion, phase, self._denoising, self._margin)
 
     def _standing(self, motion: BandLimitedMotion) -> str:
         """A status if a place does not move, else empty."""
@@ -382,5 +382,5 @@ class RollingEstimator:
             data = replace(data, fold=time_folds(data.blocks))
             follower.renew_anchor(data)
             if self._margin:
-                self._calm = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)
+                self._denoising = record_denoising_filter(data, follower.anchor.nu, follower.anchor.S)
         self._show(follower)

@@ -132,12 +132,17 @@ def joined_motion(parts: Sequence[BandLimitedMotion], first: int, stop: int) -> 
 
 
 def piece_record(
-    like: MotionRecord, model: Model, motion: BandLimitedMotion, phase: Array, calm: DenoisingFilter | None, margin: int
+    like: MotionRecord,
+    model: Model,
+    motion: BandLimitedMotion,
+    phase: Array,
+    denoising: DenoisingFilter | None,
+    margin: int,
 ) -> MotionRecord | None:
     """The valid blocks of some motion as a record; None without any.
 
-    like : record with the fields that do not depend on time. phase : (n,) rad of all rows of the motion. calm : filter
-    of the displacement that laws see; None: unfiltered. margin : rows at either end that are not of the record.
+    like : record with the fields that do not depend on time. phase : (n,) rad of all rows of the motion. denoising :
+    filter of the displacement that laws see; None: unfiltered. margin : rows at either end that are not of the record.
     """
     block, P = like.block, len(like.places)
     valid = motion.valid[margin : motion.rows - margin].reshape(-1, block).all(axis=1)
@@ -157,7 +162,7 @@ def piece_record(
         x, v = x.copy(), v.copy()
         bring_in_background(like.background, like.places, (x, v, known), [slice(0, motion.rows)], like.rate_hz)
     slow = None if motion.slow is None else taken(motion.slow[:P])
-    correction = None if calm is None else taken(calm.of(x, like.rate_hz))
+    correction = None if denoising is None else taken(denoising.of(x, like.rate_hz))
     starts = motion.start + margin + np.flatnonzero(valid) * block
     return replace(
         like, v=taken(v), x=taken(x), known=taken(known), t=(motion.start + rows) / like.rate_hz, phase=phase[at],

@@ -79,16 +79,16 @@ def denoising_filter(f_hz: Array, seen: Array, e: Array) -> DenoisingFilter:
 
 
 def restore_mean_tangent(
-    force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating], own: int, other: int
+    force: NDArray[np.floating], mean: Array, correction: NDArray[np.floating], own: int, other: int
 ) -> None:
     """Change a law's force (n,) N on denoised motion in place: its mean tangent acts on the measured displacement.
 
-    mean : (4,) mean tangents along x, v, xo, vo. calm : (places, n) m, the denoise correction. own, other : places of
+    mean : (4,) mean tangents along x, v, xo, vo. correction : (places, n) m, of the denoising. own, other : places of
     the law and of its other direction (-1: not measured).
     """
-    force -= mean[0] * calm[own]
+    force -= mean[0] * correction[own]
     if other >= 0 and mean[2] != 0.0:
-        force -= mean[2] * calm[other]
+        force -= mean[2] * correction[other]
 
 
 def _smooth(power: Array) -> Array:

@@ -45,8 +45,8 @@ def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array
     caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
     if max(-g.min(), g.max()) < LIMITS.min_law_rel * disc.K:
         disc = disc.blurred()
-    calm = 0.0 if data.denoise_correction is None else data.denoise_correction[caps].astype(np.float64)
-    mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
+    correction = 0.0 if data.denoise_correction is None else data.denoise_correction[caps].astype(np.float64)
+    mean = 0.5 * (data.x[caps] + correction).sum(axis=0)
     steps = max(1, int(np.ceil(disc.w0 / (LIMITS.max_step_rad * data.rate_hz))))
     disc_motion = filtered_series(disc.follows, mean, data.rate_hz, 2 * steps)
     force = _beside(disc_motion, g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps)
@@ -58,7 +58,7 @@ def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array
     if (
         data.denoise_correction is not None
     ):  # its mean response is to the whole displacement, as of the laws at a cap: denoise.py
-        force -= filtered_series(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
+        force -= filtered_series(lambda w: np.interp(w, bins, own), np.asarray(correction).sum(axis=0), data.rate_hz)
     return force, across
 
 

@@ -109,9 +109,9 @@ def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, los
     kept = np.flatnonzero(rng.random(n) >= lost_share)
     kept = kept[: np.searchsorted(sent_s[kept], 110.0)]
     read_s = starved(sent_s[kept], rng, from_s, off_s, on_s)
-    calm_s = np.append(read_s, read_s[-1] + np.arange(1, 400) / hz)  # until it has time again
+    even_s = np.append(read_s, read_s[-1] + np.arange(1, 400) / hz)  # until it has time again
     kept = np.append(kept, round((read_s[-1] - sent_s[kept[-1]]) * hz) + kept[-1] + np.arange(1, 400))
-    axis, t_ns = TimeAxis(hz), np.rint(calm_s * 1e9).astype(np.int64)
+    axis, t_ns = TimeAxis(hz), np.rint(even_s * 1e9).astype(np.int64)
     parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns // 200_000_000)) + 1)]
     index = np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
     off = index - kept - (index[0] - kept[0])

@@ -163,13 +163,13 @@ def test_one_that_floods_does_not_disturb_another(
         session.communicate(timeout=PATIENCE_S)
         took = time.monotonic() - asked
         flood.kill()
-    calm, flooded = read_log(logs / "press.mcap"), read_log(logs / "press-2.mcap")
+    pressed, flooded = read_log(logs / "press.mcap"), read_log(logs / "press-2.mcap")
     assert session.returncode == 0
-    assert calm.complete
+    assert pressed.complete
     assert flooded.complete
-    assert not calm.gaps
+    assert not pressed.gaps
     assert {gap.reason for gap in flooded.gaps} <= {"overflow"}
-    times = (flooded.n_samples + flooded.lost_samples) / calm.n_samples
+    times = (flooded.n_samples + flooded.lost_samples) / pressed.n_samples
     row = "a device that floods | TCP, as fast as it goes, beside one that keeps its pace | the other has no gap,"
     measured = f"{times:.0f} times its rate, {flooded.lost_samples} samples lost by name; closed in {took:.2f} s"
     record_property("reliability", f"{row} its own loss is a gap `overflow`, both closed within 2 s | {measured}")

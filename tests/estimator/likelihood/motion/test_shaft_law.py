@@ -82,11 +82,11 @@ def test_noise_of_the_sensors_at_the_discs_resonance_makes_no_sidebands() -> Non
     disc, t = stiff(), np.arange(8192) / RATE_HZ
     noise = 1e-9 * np.cos(2 * np.pi * cycle * np.arange(n) / n) * np.ones((2, 1))
 
-    def sidebands(calm: np.ndarray | None) -> float:
+    def sidebands(correction: np.ndarray | None) -> float:
         data = SimpleNamespace(
             x=noise, t=t, phase=2 * np.pi * turn * np.arange(n) / n, places=("bearing1.x", "bearing2.x"),
             bins=np.arange(5), f_hz=100.0 + np.arange(5), rate_hz=RATE_HZ, disc=disc, opposite=lambda i: 1 - i,
-            denoise_correction=calm,
+            denoise_correction=correction,
         )  # fmt: skip
         force, _ = shaft_force(CRACK, 0.05 * disc.K * np.array([1.0, 0.6, 0.8]), data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
         return float(np.abs(np.fft.rfft(force)[[cycle - turn, cycle + turn]]).sum())
