@@ -240,7 +240,7 @@ def test_what_is_doubtful_is_refused(folder: Path, capsys: pytest.CaptureFixture
     assert "one number is needed" in refused(folder, write_npz(folder / "r.npz", y, rate_hz=np.ones(3)), capsys)
     assert "0 samples" in refused(folder, write_npz(folder / "empty.npz", y[:0]), capsys)
     assert "no such file" in refused(folder, folder / "none.npz", capsys)
-    assert "cannot import" in refused(folder, folder / "none.xyz", capsys)
+    assert 'cannot be read by its ending ".xyz"' in refused(folder, folder / "none.xyz", capsys)
     np.save(folder / "one.npy", y)
     (folder / "one.npy").rename(folder / "one.npz")
     assert "one array without a name" in refused(folder, folder / "one.npz", capsys)
