@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ def run(seed: int, *, named: bool = False, seconds: float = SECONDS) -> dict[str
                 errors[f"{place}.{name}"] = (p.value - settings[name].value) / p.sd  # type: ignore[operator]
     return out | {
         "verdict": found.verdict, "adequate": compared.adequate, "missing": compared.missing, "claims": claims,
-        "where": [w.to_json() for w in compared.where][:3],
+        "where": [asdict(w) for w in compared.where][:3],
         "top": None if top is None else [top.effect, list(top.at), top.gain, top.p_value, top.explained_percent],
         "codes": codes, "text": " / ".join(m.text for m in found.messages)[:400], "z": errors,
         "cpu_s": time.process_time() - begin,

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from estimator.arrays import Array, return_freed_memory
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
@@ -14,6 +16,7 @@ from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
+from estimator.likelihood.motion.located_law import tangent_series
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
@@ -47,14 +50,31 @@ class BearingSurvey:
         return not self.missing.any_found() or value < least or low <= 0.0
 
     @cached_property
+    def too_strong(self) -> Message | None:
+        """Why nothing is named beside laws of the model that vary the stiffness of a place by much; None without any.
+
+        The fit follows the fluctuation of a tangent to the second order alone; beside a measured force it needs none.
+        """
+        data = self.part.data
+        for i, place in enumerate(() if data.measured_force else data.places):
+            own = [law for law in self.part.placed if i in law.at and law.effect.kind == "force"]
+            tangent = np.sum([tangent_series(law, data, i, law.p)[0] for law in own], axis=0)
+            varies_rel = float(np.std(tangent, dtype=np.float64) / abs(self.part.mean_tangent[i, i, 0]))
+            if varies_rel > LIMITS.max_tangent_sd_rel:
+                text = f"the laws of the model vary the stiffness of {place} by {100 * varies_rel:.0f} % (rms)"
+                advice = "no value there is reliable and nothing missing is named: record at a lower level of vibration"
+                return Message(NOT_CONCLUSIVE, f"{text}, more than the fit can follow: {advice}", place)
+        return None
+
+    @cached_property
     def inconclusive(self) -> Message | None:
         """Why a missing force could hide where none is found; None where one is found, or the record would show it.
 
         Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
         the bearing open, and in a short record.
         """
-        if not self.explained:
-            return None
+        if self.too_strong is not None or not self.explained:
+            return self.too_strong
         fitted = fitted_parameters(self.part)
         loose = [place for place in self.part.data.places if not fitted[f"{place}.kL"].identifiable]
         hidden = self.missing.interval()[2]

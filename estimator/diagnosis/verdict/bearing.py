@@ -147,6 +147,8 @@ def _judged_by_rule(
 ) -> BearingJudgement:  # fmt: skip
     """As `judge_bearing`. untried : is given the remark on mistakes that were not tried."""
     found = rank_on_part(model, survey, say)
+    if survey.too_strong is not None:
+        return BearingJudgement("unknown", tuple(found.entries), messages=(survey.too_strong,))
     mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused, untried=untried)
     if survey.explained:
         if point.data.background is not None and (mistaken := mistake(entries=found.entries)) is not None:
@@ -193,9 +195,7 @@ def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) 
     rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]
     if named:
         ranking = (*named, *rest)
-        return BearingJudgement(
-            named[0].effect, ranking, separates=separation_text(ranking), messages=named[0].notes
-        )  # fmt: skip
+        return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=named[0].notes)
     forces = [_measured_force_message(context.point)] if context.point.data.measured_force else []
     if (doubt := context.survey.inconclusive) is not None:
         return BearingJudgement("unknown", tuple(rest), messages=(doubt, *forces))
