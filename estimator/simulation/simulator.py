@@ -20,7 +20,9 @@ from estimator.signals import low_pass
 
 from . import kernel as kernel
 from .plan import Plan, simulation_plan
-from .stepper import ShaftSpeed, Stepper, start_state
+from .shaft_speed import ShaftSpeed
+from .start import start_state
+from .stepper import Stepper
 from .thresholds import LIMITS
 
 

@@ -26,7 +26,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
-from estimator.diagnosis.comparison.heldout import FITTED_SHARE, heldout_rmse, simulation_rmse
+from estimator.diagnosis.comparison.free_run import simulation_rmse
+from estimator.diagnosis.comparison.heldout import FITTED_SHARE, heldout_rmse
 from estimator.identification.batch import fit_spectral
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 

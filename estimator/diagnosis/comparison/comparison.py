@@ -16,9 +16,11 @@ from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
 
-from .curves import FailureRegion, Law, Shape, curves, failure_regions
-from .heldout import Twin, heldout_nll, heldout_rmse, reference_nll, twin
+from .curves import Law, Shape, curves
+from .failure_map import FailureRegion, failure_regions
+from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .survey import survey_bearing
+from .twin import Twin, twin
 
 Progress = Callable[[float, str], None]
 

@@ -18,7 +18,7 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import ModelError
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.structure.excitation import SearchTooLongError
+from estimator.identification.structure.cross_spectra import SearchTooLongError
 from estimator.identification.structure.rig_spectra import Arrangement, RigFit, RigSpectra
 from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.motion.prepare import prepare

@@ -22,16 +22,9 @@ from estimator.likelihood.motion.located_law import (
     searched_parameters,
     start_value,
 )
+from estimator.likelihood.path.law_gain import LawGain, base_fit, fitted_gain, independent_regressors
 from estimator.likelihood.path.path_fit import PathFit
-from estimator.likelihood.path.subproblem import (
-    LawGain,
-    Subproblem,
-    base_fit,
-    fitted_gain,
-    heldout_gain,
-    independent_regressors,
-    subproblem,
-)
+from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.effect import Effect

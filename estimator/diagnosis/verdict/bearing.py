@@ -28,7 +28,8 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, messages_json
 
-from .gates import Context, judged, left_of_own_state
+from .gates import Context, judged
+from .joint_fit import left_of_own_state, left_of_states
 from .mistake import explaining_mistake
 
 CAPS_COUPLED = Message(
@@ -362,7 +363,7 @@ def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] 
             continue
         left = missing_force.survey(both, context.model, only=before.places_found())
         alike = one.law is not None and other.law is not None and one.law.state == other.law.state
-        rest = left_of_own_state(before, left, one)[0] if alike else _left_of_states(before, left)
+        rest = left_of_own_state(before, left, one)[0] if alike else left_of_states(before, left)
         if rest <= THRESHOLDS.max_left_rel:
             own = {law.key for law in (*one.placed, *other.placed)}
             cost = THRESHOLDS.parameter_cost_nats * sum(sum(law.free) for law in both.placed)
@@ -374,15 +375,6 @@ def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] 
     found.sort(key=lambda scored: -scored[0])
     alone = len(found) == 1 or len(found) > 1 and found[0][0] - found[1][0] >= THRESHOLDS.min_ahead_nats
     return found[0][1] if alone else None
-
-
-def _left_of_states(before: missing_force.MissingForce, after: missing_force.MissingForce) -> float:
-    """All force that follows a state of its own bearing, rms over rms before."""
-
-    def power(found: missing_force.MissingForce) -> float:
-        return sum(g.power_N2 for r in found.residuals for g in r.found if g.group != OTHER_BEARING)
-
-    return float(np.sqrt(max(power(after), 0.0) / was)) if (was := power(before)) > 0.0 else 1.0
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:

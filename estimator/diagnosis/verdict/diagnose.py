@@ -23,14 +23,8 @@ from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
 from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake, quiet
-from .signal_findings import (
-    line_entries,
-    rig_file_entry,
-    signal_entries,
-    tones_of_surroundings,
-    whole_order_messages,
-    with_clipped_channels,
-)
+from .clipped import with_clipped_channels
+from .signal_findings import line_entries, rig_file_entry, signal_entries, tones_of_surroundings, whole_order_messages
 
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
 ROTOR_UNTRIED = Message(

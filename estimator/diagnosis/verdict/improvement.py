@@ -22,8 +22,9 @@ from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
 from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing, quiet
+from .clipped import with_clipped_channels
 from .ladder import CAUSES_OF_SPECTRUM, Ladder, Rung
-from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings, with_clipped_channels
+from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings
 
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 

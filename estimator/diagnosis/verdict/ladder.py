@@ -19,7 +19,7 @@ from estimator.identification.batch.disturbance_numbers import with_found_effect
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.structure.background_search import background_of_spectra
-from estimator.identification.structure.excitation import Work
+from estimator.identification.structure.cross_spectra import Work
 from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model

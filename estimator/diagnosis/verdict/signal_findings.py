@@ -1,17 +1,13 @@
-"""Effects that tones and strike trains show by themselves, without a model of the bearings.
-
-The verdict on a record of which a sensor clips.
-"""
+"""Effects that tones and strike trains show by themselves, without a model of the bearings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.arrays import Array
-from estimator.diagnosis.hypotheses.ranking import Entry, named_parameters
+from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE
@@ -20,7 +16,6 @@ from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
-from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.machine import (
     RATE_CONTRADICTED,
     RECORD_SOURCE,
@@ -29,12 +24,11 @@ from estimator.identification.machine import (
     StrikeTrain,
     Tone,
 )
-from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
+from estimator.identification.record import RecordSurvey
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import RIG_FILE, Message, Parameter
 
-from .bearing import BearingJudgement
 from .mistake import mistake_entry
 
 BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
@@ -235,46 +229,3 @@ def _entry(effect: str, place: str, p_value: float, parameters: dict[str, Parame
         effect=effect, at=(place.split(".")[0],), gain=nats, heldout_gain=nats, p_value=p_value,
         parameters=parameters, score=nats,
     )  # fmt: skip
-
-
-def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, survey: RecordSurvey) -> BearingJudgement:
-    """The judgement with the clipped channels that the model does not know, named where no law is.
-
-    Parameters
-    ----------
-    found : BearingJudgement
-        Of the other channels.
-    model : Model
-        The rig with all channels.
-    y : (n, channels) float64
-        Samples in SI units, columns in the order of ``model.channels``.
-    survey : RecordSurvey
-        What the record layer says of them.
-    """
-    known = {at for use in model.effects if use.name == SENSOR_CLIPPING.name for at in use.parameters}
-    texts = {f.channels[0]: f for f in survey.findings if f.code == CLIPPED_CODE}
-    new = [
-        (channel, clipping_level(y[:, k]))
-        for k, channel in enumerate(model.channels)
-        if channel.name in texts and not known.intersection((channel.place, channel.node))
-    ]
-    clipped = [(channel, level) for channel, level in new if level is not None]
-    if not clipped:
-        return found
-    settings = {channel.place: {"level": level_parameter(level, channel.kind)} for channel, level in clipped}
-    by_effect = {SENSOR_CLIPPING.name: settings}
-    counts = [count for _, (_, count) in clipped]
-    entry = Entry(
-        effect=SENSOR_CLIPPING.name,
-        at=tuple(dict.fromkeys(place.split(".")[0] for place in settings)),
-        gain=float(sum(counts)),
-        heldout_gain=float(sum(counts) - len(counts)),
-        p_value=min(map(pileup_p_value, counts)),
-        parameters=named_parameters(by_effect),
-        score=np.inf,
-        settings=by_effect,
-        notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
-    )
-    if found.verdict in ("complete", "unknown"):
-        return replace(found, verdict=entry.effect, ranking=(entry, *found.ranking), separates="")
-    return replace(found, ranking=(found.ranking[0], entry, *found.ranking[1:]))

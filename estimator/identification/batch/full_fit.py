@@ -3,8 +3,6 @@
 Disturbances are periodic forces, spectral shapes of the excitation, common excitation and sensor faults. They are found
 in the residual force of the model without them; then the laws are fitted together with them. A value that the rig file
 fixes is kept.
-
-A shaft with bearings that are not measured: their motion acts on the measured ones through the shaft, unknown.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
-from estimator.errors import DataError, NoResonanceError, NotFiniteError
+from estimator.errors import NoResonanceError, NotFiniteError
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.residual import harmonic_fit, measured_path, stiffness_order
 from estimator.identification.search import search
@@ -32,7 +30,6 @@ from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.modal_response import modal_responses
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.model.rotor import rotor_matrices
 from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 from estimator.signals.shaft_angle import with_measured_speed
@@ -48,37 +45,7 @@ from .disturbance_numbers import (
 )
 from .grid_start import fit_record
 from .thresholds import LIMITS
-
-
-def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Message, ...]:
-    """A message if an unmeasured bearing acts on a measured one through the shaft. kL : by place, N/m.
-
-    Raises DataError where it acts strongly through the modes of a given rotor.
-    """
-    matrices = rotor_matrices(model)
-    if matrices is None:
-        return ()
-    most, lacking = 0.0, ""
-    for place, stiffness in kL.items():
-        mass = model.cap_mass(place)
-        others = [f"{n}.{place[-1]}" for n in matrices.bearings if f"{n}.{place[-1]}" not in (place, *model.places)]
-        rotor = matrices.at((place, *others))
-        if rotor is None or not others or mass is None or stiffness <= 0.0:
-            continue
-        through = np.abs(rotor.dynamic(np.array([np.sqrt(stiffness / mass)]))[0, 0, 1:]) / stiffness
-        if through.max() > max(most, LIMITS.min_shaft_stiffness_rel):
-            most, lacking = float(through.max()), others[int(np.argmax(through))][:-2]
-    if not lacking:
-        return ()
-    acts = (
-        f"{lacking} is not measured, but its motion acts through the shaft on the bearing that is ({100 * most:.0f} % "
-        "of the stiffness there, at the resonance)"
-    )
-    if model.rotor is not None and most > LIMITS.max_rotor_stiffness_rel:
-        raise DataError(f"{acts}: measure all bearings, or leave out the shaft")
-    text = f"{acts}. The fit takes it for excitation, and no value is reliable: measure all bearings"
-    return (Message("end_unmeasured", text, lacking),)
-
+from .unmeasured_end import unmeasured_end_messages
 
 SPECTRAL_AND_SENSOR_EFFECTS = tuple(
     name

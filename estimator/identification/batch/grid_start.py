@@ -20,7 +20,7 @@ from estimator.identification.structure import spectral_models
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, first_stiffness, located_laws, natural_sizes
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
-from estimator.likelihood.path import subproblem
+from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -125,7 +125,7 @@ def _best_of_grid(
     """
     nodes = [_grid_nodes(point, use, factors, both_signs) for use in uses]
     pairs = [use for own in nodes for use in own]
-    found = map_threads(lambda use: subproblem.fitted_gain(point, use), pairs)
+    found = map_threads(lambda use: law_gain.fitted_gain(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
     gains = np.array([[0.0 if got is None else max(got.gain, 0.0) for got in own] for own in tried])
     shared = int(np.argmax(gains.sum(axis=0)))

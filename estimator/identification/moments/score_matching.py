@@ -17,7 +17,7 @@ from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
-from estimator.likelihood.motion.known_spectra import motion_channels
+from estimator.likelihood.motion.force_balance import motion_channels
 from estimator.likelihood.motion.prepare import check_moves, check_shape
 from estimator.model.rig import Model
 from estimator.results import Estimate, Fit, Message, Parameter
@@ -25,16 +25,9 @@ from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.channel_response import anti_alias_response
 
 from .plane_moments import Form, PlaneMoments
-from .planes import (
-    Plane,
-    density_band,
-    ignored_effects,
-    planes_of,
-    synchronous_lines,
-    synchronous_message,
-    synchronous_orders,
-)
+from .planes import Plane, density_band, ignored_effects, planes_of
 from .stationary import check_resonance, density_messages, softening_message
+from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
 from .thresholds import LIMITS
 
 LEFT_OUT_REASON = "score matching leaves it out: use the spectral method"

@@ -16,7 +16,7 @@ from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 from estimator.results import Message, Parameter
 
-from .plane_moments import BlockMoments, propagate
+from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
 from .thresholds import LIMITS
 

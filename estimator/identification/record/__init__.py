@@ -1,19 +1,13 @@
 """Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
 
 from .channel_summary import moments
+from .clipping import clipping_level, pileup_p_value
 from .findings import CLIPPED_CODE, ChannelSummary, RecordFinding, RecordSurvey
-from .severity import ChannelSeverity, ZoneLimits, iso_zone, severity, zone_limits
+from .severity import ChannelSeverity, severity
 from .spikes import spike_rows, surely_without_spikes
 from .survey import survey_record
-from .usable import (
-    UsableRecord,
-    clipping_level,
-    level_parameter,
-    pileup_p_value,
-    record_messages,
-    usable_record,
-    without_spikes,
-)
+from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
+from .zones import ZoneLimits, iso_zone, zone_limits
 
 __all__ = [
     "CLIPPED_CODE",

@@ -14,10 +14,10 @@ from estimator.arrays import Array
 from estimator.model.rig import MOTION_UNITS, Channel
 
 from .channel_summary import Moments, finite_pieces, longest_stretch, power_spectrum, summarise
+from .clipping import clipping_level
 from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding
 from .spikes import robust_scale, spike_rows
 from .thresholds import RECORD_THRESHOLDS, Thresholds
-from .usable import clipping_level
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,8 @@ from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.imbalance import IMBALANCE
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.finding import Finding
+from estimator.likelihood.motion.force_balance import shaft_notches
 from estimator.likelihood.motion.harmonics import cap_force_per_shaft_force, known_lines
-from estimator.likelihood.motion.known_spectra import shaft_notches
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.results import Parameter

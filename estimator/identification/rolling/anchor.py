@@ -24,7 +24,8 @@ from estimator.likelihood.response.regressor_set import (
     tangent_response,
     with_second_order,
 )
-from estimator.likelihood.whitening.determinant import Jacobian, line_weights, modes_at, tangent_times
+from estimator.likelihood.whitening.contour import modes_at
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights, tangent_times
 from estimator.likelihood.whitening.whitening import Whitening
 
 from .thresholds import LIMITS

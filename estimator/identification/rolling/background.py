@@ -20,7 +20,7 @@ from estimator.arrays import Array
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.structure.background_search import background_of_spectra, one_cause_is_enough
-from estimator.identification.structure.excitation import SearchTooLongError, Work
+from estimator.identification.structure.cross_spectra import SearchTooLongError, Work
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -29,7 +29,8 @@ from estimator.signals.channel_response import corrected_record
 
 from .anchor import anchor_at
 from .follower import Follower
-from .start import FirstFit, first_record, is_coloured
+from .report import is_coloured
+from .start import FirstFit, first_record
 from .thresholds import LIMITS
 
 

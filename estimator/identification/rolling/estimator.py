@@ -23,7 +23,7 @@ from estimator.errors import DataError, NotFiniteError
 from estimator.identification.record import spike_rows, surely_without_spikes
 from estimator.likelihood.fitting.gauss_newton import record_denoising_filter
 from estimator.likelihood.motion.denoise import DenoisingFilter
-from estimator.likelihood.motion.known_spectra import force_channels, motion_channels, shaft_terms
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_terms
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord, time_folds
 from estimator.model.rig import Channel, Model
@@ -36,8 +36,9 @@ from .anchor import anchor_at
 from .background import BackgroundSearch, Run, in_line
 from .follower import Follower
 from .piece import joined_motion, piece_record
+from .report import is_coloured, judged_parameters
 from .scope import rolling_scope
-from .start import FirstFit, first_fit, is_coloured, judged_parameters
+from .start import FirstFit, first_fit
 from .thresholds import LIMITS
 from .watch import DEFAULT_CANDIDATES, candidates, missing_force
 

@@ -14,7 +14,8 @@ from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, in
 from estimator.likelihood.whitening.determinant import Jacobian
 
 from .anchor import Anchor, anchor_at
-from .piece import Memory, excess_power, piece_sums, renewed_noise
+from .memory import Memory
+from .piece import excess_power, piece_sums, renewed_noise
 from .thresholds import LIMITS
 
 THE_FOLD = np.zeros(1, np.int64)  # the only fold of a memory

@@ -16,9 +16,9 @@ from estimator.effects.places import at, kinematic, written
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES
 from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
+from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import CAP_DIRECTIONS, EffectUse, Model, Setting
-from estimator.model.rotor import disc_of
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY
 

@@ -19,7 +19,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground, ModeForm, all_under_bearing
 from estimator.model.rig import Model
 
-from .excitation import Work
+from .cross_spectra import Work
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import caps_by_direction, measured_spectra, spectral_problem, start_values, with_known_background
 from .spectral_shape import nats_of_one_cause

@@ -21,7 +21,8 @@ import numpy as np
 from estimator.arrays import Array, Complexes, products
 from estimator.model.background import ModeForm, StructuralMode
 
-from .excitation import CrossSpectra, Work, spline_basis
+from .cross_spectra import CrossSpectra, Work
+from .excitation import spline_basis
 from .thresholds import LIMITS
 
 # in cap masses: a lighter support, or a heavier part on the cap, is a rotor of its own

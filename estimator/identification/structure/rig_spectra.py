@@ -18,7 +18,7 @@ from estimator.model.background import Background
 from estimator.model.rig import Model
 
 from .background_search import force_dispersion, search_background, without_idle_modes
-from .excitation import CrossSpectra, Work
+from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
     cap_masses,

@@ -13,9 +13,9 @@ from estimator.arrays import Array, Complexes
 from estimator.effects.excitation import coloured_excitation
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor import sensor_resonance
-from estimator.likelihood.fitting.gauss_newton import MIN_NOISE_RATIO
+from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.whitening.whitening import referred_psd
+from estimator.likelihood.whitening.sensor_noise import referred_psd
 from estimator.model.effect import Effect
 from estimator.results import Parameter
 

@@ -13,7 +13,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .excitation import CrossSpectra, cross_spectra
+from .cross_spectra import CrossSpectra, cross_spectra
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .thresholds import LIMITS
 

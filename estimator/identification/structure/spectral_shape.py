@@ -22,7 +22,7 @@ from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.identification.finding import OTHER_BEARING, UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.whitening.whitening import force_correlation
+from estimator.likelihood.whitening.sensor_noise import force_correlation
 from estimator.model.rig import MOTION_UNITS, Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape

@@ -25,7 +25,7 @@ from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import noise_shape
 
-from .memory_law import filtered_series
+from .linear_memory import filtered_series
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model
 
-from . import memory_law, shaft_law
+from . import linear_memory, shaft_law
 from .denoise import restore_mean_tangent
 from .harmonics import PERIODIC_EFFECTS
 from .law_smoothing import MARGIN_ROWS, LawStates, decimated, harmonics_alias, has_jump, law_force, reads_states
@@ -130,7 +130,7 @@ class LocatedLaw:
 
 def has_nonlinear_memory(placed: LocatedLaw, lin: Array) -> bool:
     """Whether a law has memory whose states obey nonlinear equations. lin : (3,) m, kL, c."""
-    return placed.effect.kind == "memory" and memory_law.linear_response(placed.effect, placed.p, lin) is None
+    return placed.effect.kind == "memory" and linear_memory.linear_response(placed.effect, placed.p, lin) is None
 
 
 def law_along_record(
@@ -148,10 +148,10 @@ def law_along_record(
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
     slopes = np.zeros((TIME_FOLDS, len(data.places), 2))
     if placed.effect.kind == "memory":
-        linear = memory_law.linear_response(placed.effect, p, lin[i])
+        linear = linear_memory.linear_response(placed.effect, p, lin[i])
         if linear is not None:
             own = linear(2 * np.pi * data.f_hz)
-            return memory_law.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
+            return linear_memory.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
         if not np.isfinite(data.displacement(i).sum() + p.sum()):
             raise LawNotFiniteError(placed.effect.name, data.places[i])
         f, mean = memory_force_and_response(placed.effect, p, lin[i], data.displacement(i), data.v[i], data.rate_hz)

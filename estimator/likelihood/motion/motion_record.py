@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Series
 from estimator.likelihood.thresholds import LIMITS
 from estimator.model.background import Background
+from estimator.model.disc import Disc
 from estimator.model.rig import LineBand
-from estimator.model.rotor import Disc
 from estimator.model.rotor_matrices import Rotor
 from estimator.signals.band_limit import noise_shape
 

@@ -15,8 +15,9 @@ from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.likelihood.thresholds import LIMITS
 from estimator.model.background import Background
+from estimator.model.disc import disc_of
 from estimator.model.rig import LineBand, Model
-from estimator.model.rotor import disc_of, rotor_of
+from estimator.model.rotor import rotor_of
 from estimator.model.rotor_matrices import Rotor
 from estimator.parallel import map_threads
 from estimator.results import Message
@@ -25,17 +26,10 @@ from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
+from .force_balance import motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
-from .known_spectra import (
-    FORCE_SHAPES,
-    excitation_shapes,
-    fitted_bins,
-    motion_channels,
-    shaft_response,
-    shaft_terms,
-    undone_noise_gain,
-)
-from .memory_law import filtered_series
+from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
+from .linear_memory import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used

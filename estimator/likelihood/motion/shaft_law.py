@@ -24,7 +24,7 @@ from estimator.likelihood.thresholds import LIMITS
 from estimator.model.effect import Effect
 from estimator.results import Message
 
-from .memory_law import filtered_series
+from .linear_memory import filtered_series
 from .motion_record import MotionRecord, without_bins
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.arrays import Array, Complexes, Series
-from estimator.likelihood.motion import memory_law
+from estimator.likelihood.motion import linear_memory
 from estimator.likelihood.motion.harmonics import PeriodicForce
 from estimator.likelihood.motion.known_spectra import shaft_response
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
@@ -27,15 +27,10 @@ from estimator.likelihood.response.regressor_set import (
     with_second_order,
 )
 from estimator.likelihood.thresholds import LIMITS
-from estimator.likelihood.whitening.determinant import Jacobian, continued_tangent, contour, line_weights
-from estimator.likelihood.whitening.whitening import (
-    SensorNoise,
-    Spectrum,
-    WhitenedRegressors,
-    Whitening,
-    force_correlation,
-    referred_noise,
-)
+from estimator.likelihood.whitening.contour import continued_tangent, contour
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights
+from estimator.likelihood.whitening.sensor_noise import SensorNoise, force_correlation, referred_noise
+from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
@@ -260,7 +255,7 @@ def _modal_responses(
     """
     linear = [
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
-        if (own := memory_law.state_matrix(use.effect, use.p, lin[i])) is not None
+        if (own := linear_memory.state_matrix(use.effect, use.p, lin[i])) is not None
     ]  # fmt: skip
     bare = modal_responses(data.mass, D, data.rotor, linear)
     memory_tangent = np.zeros((len(data.places), 2))

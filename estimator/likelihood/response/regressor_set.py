@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion import memory_law, shaft_law
+from estimator.likelihood.motion import linear_memory, shaft_law
 from estimator.likelihood.motion.located_law import (
     LawAlongPath,
     LocatedLaw,
@@ -284,8 +284,8 @@ def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[Loc
         series, memory = z, dict[int, Complexes]()
         for use in uses:
             own = i in use.at and use.effect.kind == "memory"
-            if own and (more := memory_law.response_derivative(use.effect, use.p, lin, 1 + which)) is not None:
-                series = (series + memory_law.filtered_series(more, data.x[i], data.rate_hz)).astype(z.dtype)
+            if own and (more := linear_memory.response_derivative(use.effect, use.p, lin, 1 + which)) is not None:
+                series = (series + linear_memory.filtered_series(more, data.x[i], data.rate_hz)).astype(z.dtype)
                 memory[i] = memory.get(i, 0.0) + own_response(more(2 * np.pi * data.f_hz), i, data)
         rms = max(float(data.rms[which, i]), 1e-300)
         out.append(

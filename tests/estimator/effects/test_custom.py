@@ -23,7 +23,7 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path import subproblem
+from estimator.likelihood.path import law_gain
 from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.simulation.simulator import simulate
 
@@ -172,7 +172,7 @@ def test_a_module_object_that_cannot_work_is_refused() -> None:
 def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
     from estimator.model.rig import Channel, Model
     from estimator.simulation.simulator import simulate
-    from estimator.simulation.stepper import stationarity
+    from estimator.simulation.start import stationarity
 
     linear = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}}
     model = Model((Channel("a", "bearing1", "x"),), (150.0, 8000.0), mass={"bearing1": 0.2}, linear=linear)
@@ -269,7 +269,7 @@ def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over(
     point = fit_model(data, located_laws(rig, data))
     effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
     assert (
-        subproblem.fitted_gain(
+        law_gain.fitted_gain(
             point, LocatedLaw(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), free=(True, False))
         )
         is None

@@ -131,7 +131,7 @@ def test_local_defect_is_a_comb_at_its_order() -> None:
 
 
 def test_line_stays_when_the_speed_changes() -> None:
-    from estimator.simulation.stepper import ShaftSpeed
+    from estimator.simulation.shaft_speed import ShaftSpeed
 
     tone = use("line", "bearing1.x", a=1.0, b=1.0, frequency=650.0)
     for rpm in (9000.0, 12000.0):

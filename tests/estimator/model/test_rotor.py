@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, linear_covariance, propagator, rotor_of, shaft_matrix
-from estimator.simulation.stepper import stationarity
+from estimator.simulation.start import stationarity
 
 PAPER_MASS = np.diag([0.245, 0.22, 0.515])
 

@@ -6,7 +6,7 @@ import pytest
 from estimator.errors import DataError
 from estimator.model.rig import Channel, Model
 from estimator.signals.shaft_angle import measured_phase, rising_edges, shaft_angle
-from estimator.simulation.stepper import ShaftSpeed
+from estimator.simulation.shaft_speed import ShaftSpeed
 
 RATE = 25600.0
 T = np.arange(int(10 * RATE)) / RATE

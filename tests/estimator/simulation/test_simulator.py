@@ -17,8 +17,9 @@ from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, linear_covariance, propagator
 from estimator.simulation.plan import simulation_plan
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import Simulator, antialias_taps, quantise, simulate
-from estimator.simulation.stepper import ShaftSpeed, Stepper
+from estimator.simulation.stepper import Stepper
 
 RATE = 25600.0
 

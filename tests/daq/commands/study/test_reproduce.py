@@ -9,7 +9,7 @@ import pytest
 
 from daq.commands.study.reproduce import reproduce
 from daq.commands.study.reproduce_cases import DISC_KG, PAPER_METHODS, paper_model
-from estimator.simulation.stepper import stationarity
+from estimator.simulation.start import stationarity
 
 
 @pytest.fixture(scope="module")

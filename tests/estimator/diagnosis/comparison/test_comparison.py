@@ -10,7 +10,7 @@ import pytest
 from hidden_effects import RATE, one_bearing, record, schema
 
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.identification.record.usable import clipping_level
+from estimator.identification.record.clipping import clipping_level
 from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate

@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.gates import at_identifiable_bearings
+from estimator.diagnosis.verdict.joint_fit import at_identifiable_bearings
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.full_fit import fit_all_effects

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.diagnosis.comparison.heldout import heldout_rmse, resampled
+from estimator.diagnosis.comparison.free_run import resampled
+from estimator.diagnosis.comparison.heldout import heldout_rmse
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.model.rig import Channel, EffectUse, Model, Setting

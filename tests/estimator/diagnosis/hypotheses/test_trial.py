@@ -25,7 +25,7 @@ from estimator.identification.residual.missing_force import survey
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, located_laws
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path import subproblem
+from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import UnitRegressors
 from estimator.model.rig import Channel, Model, Setting
@@ -104,7 +104,7 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
     rig, point, _ = weak
     coulomb = CATALOGUE["coulomb"]
     where = acted_on(coulomb, "bearing1.x", point.data)
-    free = subproblem.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), free=(True,)))
+    free = law_gain.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), free=(True,)))
     assert free is not None
     barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
     limited = best_on_grid(point, rig, barred, "bearing1.x")
@@ -134,11 +134,9 @@ def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, Workin
     """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
     rig, point, gap = weak
     placed = LocatedLaw(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), free=(True, True))
-    asked = [
-        subproblem.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)
-    ]
+    asked = [law_gain.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
     gains = [one.gain for one in asked if one is not None]
-    fresh = subproblem.fitted_gain(replace(point, units=UnitRegressors()), placed)
+    fresh = law_gain.fitted_gain(replace(point, units=UnitRegressors()), placed)
     assert fresh is not None
     assert gains[0] == gains[1] == gains[3] == fresh.gain
     assert gains[2] != gains[0]

@@ -15,7 +15,6 @@ from estimator.diagnosis.verdict import bearing
 from estimator.diagnosis.verdict.gates import (
     NAMING_GATES,
     Context,
-    JointFit,
     gains_in_folds,
     inside_limits,
     judged,
@@ -24,6 +23,7 @@ from estimator.diagnosis.verdict.gates import (
     significant,
     told_from_zero,
 )
+from estimator.diagnosis.verdict.joint_fit import JointFit
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.motion.located_law import LocatedLaw

@@ -8,8 +8,8 @@ import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig.rig import load_rig
-from estimator.identification.batch.full_fit import unmeasured_end_messages
 from estimator.identification.batch.spectral import fit_spectral
+from estimator.identification.batch.unmeasured_end import unmeasured_end_messages
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
 

@@ -17,8 +17,8 @@ from estimator.identification.residual import lines
 from estimator.identification.residual.stiffness_order import find_stiffness_order
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.signals.shaft_angle import with_measured_speed
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import simulate
-from estimator.simulation.stepper import ShaftSpeed
 
 SECONDS = 10.0
 WANDER = ShaftSpeed(2100.0, fluctuation=0.01)

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_samples import boltzmann, langevin
 
-from estimator.identification.moments.plane_moments import BlockMoments, PlaneMoments, propagate
+from estimator.identification.moments.batch_means import BlockMoments, propagate
+from estimator.identification.moments.plane_moments import PlaneMoments
 from estimator.identification.moments.planes import Cap, Plane
 
 KL, T, M3 = 1.0e7, 4.0e-7, 0.515

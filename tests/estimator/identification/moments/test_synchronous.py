@@ -7,7 +7,7 @@ import pytest
 from reference_samples import langevin
 
 from estimator.identification.moments import fokker_planck, score_matching
-from estimator.identification.moments.planes import (
+from estimator.identification.moments.synchronous import (
     line_amplitude,
     stiffness_bias,
     synchronous_lines,

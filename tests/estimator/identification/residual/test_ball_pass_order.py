@@ -11,8 +11,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import spectral
 from estimator.model.rig import Channel, EffectUse
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import simulate
-from estimator.simulation.stepper import ShaftSpeed
 
 
 def test_a_fit_takes_the_order_from_the_record_and_says_how_sure_it_is_of_the_phase() -> None:

@@ -14,7 +14,7 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Finding
 from estimator.identification.residual import impact_train as strikes
 from estimator.identification.residual import lines as line_forces
-from estimator.likelihood.motion.known_spectra import shaft_notches
+from estimator.likelihood.motion.force_balance import shaft_notches
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate

@@ -11,7 +11,7 @@ from reference_rig import rig_model
 from estimator.identification.rolling.background import BackgroundSearch, FoundBackground, Search
 from estimator.identification.rolling.start import FirstFit
 from estimator.identification.rolling.thresholds import LIMITS
-from estimator.identification.structure.excitation import SearchTooLongError
+from estimator.identification.structure.cross_spectra import SearchTooLongError
 
 RATE_HZ, BLOCK, HOUR_S = 8192.0, 2048, 3600.0
 Answer = Callable[["partial[FoundBackground | None]"], FoundBackground | None]

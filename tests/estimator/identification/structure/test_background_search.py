@@ -11,7 +11,7 @@ from scipy.signal import cheby2, sosfilt
 from structural_rig import CAP_MASS_KG, DAMPING_N_S_M, PART_MODE, STIFFNESS_N_M, SUPPORT_MODE
 
 from estimator import Channel, Model, compare, fit
-from estimator.identification.structure.excitation import CrossSpectra
+from estimator.identification.structure.cross_spectra import CrossSpectra
 from estimator.identification.structure.joint_spectrum import JointSpectrum, JointValues, ModePlace
 from estimator.model.background import BearingBackground, StructuralMode
 

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.motion.memory_law import linear_response, response_derivative
+from estimator.likelihood.motion.linear_memory import linear_response, response_derivative
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
 

@@ -19,8 +19,8 @@ from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.grid_start import fit_record
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.motion.shaft_law import shaft_force
+from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model
-from estimator.model.rotor import Disc, disc_of
 from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25_600.0

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.likelihood.fitting import gauss_newton
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
-from estimator.likelihood.fitting.gauss_newton import grid_minimum
+from estimator.likelihood.fitting.noise_level import grid_minimum
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import working_point

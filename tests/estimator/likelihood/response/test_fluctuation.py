@@ -16,7 +16,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import located_laws, tangent_series
 from estimator.likelihood.motion.motion_record import oversampled
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path.subproblem import fitted_gain
+from estimator.likelihood.path.law_gain import fitted_gain
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response import modal_response
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations

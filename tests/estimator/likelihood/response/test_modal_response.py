@@ -8,7 +8,7 @@ from reference_rig import shaft_at_caps
 from scipy.linalg import expm
 
 from estimator.effects import CATALOGUE
-from estimator.likelihood.motion import memory_law
+from estimator.likelihood.motion import linear_memory
 from estimator.likelihood.response.modal_response import modal_responses
 from estimator.model.rig import BEARING_NODES, Shaft
 from estimator.model.rotor import shaft_matrix
@@ -89,7 +89,7 @@ def test_a_mode_that_grows_is_not_sound() -> None:
 
 def test_a_pedestal_under_the_cap_answers_with_it() -> None:
     pedestal, p, lin = CATALOGUE["pedestal"], np.array([0.4, 900.0, 0.02]), np.array([0.2, 1e7, 60.0])
-    own, answer = memory_law.state_matrix(pedestal, p, lin), memory_law.linear_response(pedestal, p, lin)
+    own, answer = linear_memory.state_matrix(pedestal, p, lin), linear_memory.linear_response(pedestal, p, lin)
     assert own is not None
     assert answer is not None
     w = 2 * np.pi * np.linspace(10.0, 3000.0, 100)

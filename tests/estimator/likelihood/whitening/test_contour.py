@@ -16,14 +16,8 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.response.regressor_set import tangent_response
-from estimator.likelihood.whitening.determinant import (
-    MARGIN_BINS,
-    WIDE_MARGIN_BINS,
-    Jacobian,
-    continued_tangent,
-    contour,
-    line_weights,
-)
+from estimator.likelihood.whitening.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
+from estimator.likelihood.whitening.determinant import Jacobian, line_weights
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import rotor_matrices
 from estimator.model.rotor_matrices import Rotor

@@ -1,0 +1,109 @@
+"""The gain in nats of a law with given searched parameters: its amplitudes fitted together with the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.errors import NotFiniteError
+from estimator.likelihood.motion.located_law import LocatedLaw
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
+from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
+from estimator.likelihood.thresholds import LIMITS
+from estimator.likelihood.whitening.whitening import WhitenedRegressors
+from estimator.model.effect import EffectParameter
+
+from .path_fit import PathFit
+from .subproblem import Subproblem, subproblem
+from .working_point import WorkingPoint
+
+ALL_FOLDS = np.arange(TIME_FOLDS)
+
+
+def whitened_law(point: WorkingPoint, placed: LocatedLaw) -> WhitenedRegressors | None:
+    """Whitened regressors of the amplitudes, independent of those of the model; None where none of them is."""
+    kept = independent_regressors(point, placed, linear_only=True)
+    return point.whitening.whiten(kept) if kept else None
+
+
+def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
+    """The regressors of a law on trial, without what the regressors of the model span. linear_only : of amplitudes."""
+    linear = [q.linear for q in placed.effect.parameters]
+
+    def made(free: Sequence[bool]) -> list[Regressor]:
+        own = replace(placed, free=tuple(np.logical_and(placed.free, free).tolist()))
+        return with_second_order(regressors(own, point.data, point.lin), own, point.fluctuations)
+
+    if placed.effect.kind == "force":
+        found = point.units.of(placed, lambda: made(linear))
+        found = found if linear_only else found + made([not one for one in linear])
+    else:
+        found = made(linear if linear_only else [True] * len(linear))
+    return [t for t in (orthogonalised(t, point.spans) for t in found) if t is not None]
+
+
+class LawGain(NamedTuple):
+    """The gain of a law on trial.
+
+    gain : nats; 0 where every amplitude is at its limit. problem, fit : with the amplitudes inside their limits.
+    spread : by name, standard deviation of every amplitude, SI units.
+    """
+
+    gain: float
+    problem: Subproblem
+    fit: PathFit
+    spread: dict[str, float]
+
+
+class BaseFit(NamedTuple):
+    """The model without a law on trial, fitted at some places. level : log-likelihood, nats."""
+
+    problem: Subproblem
+    fit: PathFit
+    level: float
+
+
+def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> BaseFit:
+    """The fit of the model alone at these places: what a law there is compared with."""
+    plain = subproblem(point, places)
+    fit = plain.fit(steps=steps)
+    return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
+
+
+def fitted_gain(
+    point: WorkingPoint, placed: LocatedLaw, steps: int = 3, against: BaseFit | None = None
+) -> LawGain | None:
+    """The gain of a law at given searched parameters, its amplitudes within their limits.
+
+    An amplitude that most such laws do without is left out where it gains less than it costs: beside it the others are
+    poorly known where no data are, as a curvature beside a rate of change.
+
+    None where the model spans its regressors already, or where its force is not finite. against : result of
+    `base_fit`; None: it is computed.
+    """
+    try:
+        extra = whitened_law(point, placed)
+    except NotFiniteError:
+        return None
+    if extra is None:
+        return None
+    problem = subproblem(point, placed.at, extra)
+    plain, base, level = against or base_fit(point, placed.at, steps)
+    declared = {placed.name(k): q for k, q in enumerate(placed.effect.parameters)}
+    spread: dict[str, float] = {}
+    while problem.extra:
+        fit = problem.fit(steps=steps)
+        spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
+        inside = tuple(n for n in problem.extra if _is_needed(declared[n], *fit.value(n)))
+        if inside == problem.extra:
+            return LawGain(gain=problem.likelihood(fit, ALL_FOLDS) - level, problem=problem, fit=fit, spread=spread)
+        problem = problem.only(inside)
+    return LawGain(gain=0.0, problem=plain, fit=base, spread=spread)
+
+
+def _is_needed(q: EffectParameter, value: float, sd: float) -> bool:
+    """Whether an amplitude is within its limits, and gains more than it costs where the law can do without it."""
+    return q.low <= value <= q.high and (q.share > 0.0 or value**2 > 2.0 * LIMITS.optional_cost_nats * sd**2)

@@ -1,0 +1,79 @@
+"""Leakage of narrow lines between blocks, projected out of the block spectra.
+
+A disc rings for seconds on its shaft, a tone for ever, and a block lasts a third of a second. The part of the residual
+force that goes with them ends at both ends of every block. That spreads it over all bins. The Fourier sum over a block
+of a sampled line of constant amplitude at f0 has the shape 1 + i cot(pi (f - f0) / rate), and that of its conjugate the
+shape at -f0. Higher powers of the cotangent come in where the line grows, decays or wanders. The shapes are projected
+out of every series alike, and the lost share of each bin is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.thresholds import LIMITS
+
+
+@dataclass(frozen=True, slots=True)
+class Leakage:
+    """Shapes of the leakage of narrow lines.
+
+    shapes : (places, bins, k) orthonormal, of whitened spectra. kept : (places, bins) share of each bin that remains.
+    """
+
+    shapes: NDArray[np.float32]
+    kept: Array
+
+    def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
+        """Project the shapes out of spectra Z (blocks, 2 bins) at place i, in place. It needs as much memory again."""
+        own = self.shapes[i]
+        parts = np.concatenate([Z[:, 0::2], Z[:, 1::2]])  # real and imaginary parts
+        parts -= (parts @ own) @ own.T
+        Z[:, 0::2], Z[:, 1::2] = parts[: len(Z)], parts[len(Z) :]
+
+
+def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage | None:
+    """The shapes; None where no disc resonates in the band and no line is strong.
+
+    weights : (places, bins) of the spectra.
+    """
+    forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LIMITS.line_powers)]
+    for f0 in () if data.rotor is None else data.rotor.resonances_hz:
+        if data.band[0] < f0 < data.band[1]:
+            forms += _forms(data, f0, LIMITS.disc_powers)  # the notch of the shaft leaves it out
+    if not forms:
+        return None
+    forms.append(np.ones(data.f_hz.size))
+    columns = np.stack(forms, axis=1) / np.linalg.norm(forms, axis=1)
+    shapes, kept = [], []
+    for own in weights:
+        Q, _ = np.linalg.qr(own[:, None] * columns)
+        kept.append(1.0 - np.sum(Q**2, axis=1))
+        shapes.append(Q)
+    return Leakage(np.array(shapes, np.float32), np.array(kept))
+
+
+def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array]:
+    """Shapes (bins,) of what leaks from f0, Hz. powers : highest power of the cotangent at f0 and at -f0."""
+    here, mirrored = (1.0 / np.tan(np.pi * (data.f_hz - f) / data.rate_hz) for f in (f0, -f0))
+    return [z**k for z, most in zip((here, mirrored), powers, strict=True) for k in range(1, most + 1)]
+
+
+def leaking_lines(data: MotionRecord) -> list[float]:
+    """Frequencies of the lines that leak most, Hz, at most `max_lines`.
+
+    A block without a window puts 1 / (pi k)^2 of the power of a line in the bin k bins away.
+    """
+    seconds = data.block / data.rate_hz
+    leaks = []
+    for line in data.lines:
+        away = max(0.5 * (line.high_hz - line.low_hz) * seconds, 1.0)
+        power = line.power_over_psd_hz * seconds * 2.0 / (np.pi**2 * away)
+        if power > LIMITS.min_leakage_bins and not np.any(np.abs(data.f_hz - line.centre_hz) < 0.5 / seconds):
+            leaks.append((power, line.centre_hz))
+    return [hz for _, hz in sorted(leaks, reverse=True)[: LIMITS.max_lines]]
