@@ -246,7 +246,7 @@ def estimates_schema(parameters: Mapping[str, Parameter]) -> bytes:
 
 
 def estimates_schema_of(message: bytes) -> bytes:
-    """The same of a map as it was written: of what is in it."""
+    """JSON schema of a map of estimates that was encoded before: of the names that the message has."""
     try:
         return json.dumps(_json_schema(json.loads(message))).encode()
     except (ValueError, AttributeError):  # not ours
@@ -254,6 +254,7 @@ def estimates_schema_of(message: bytes) -> bytes:
 
 
 def _by_parts(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by the parts of their dotted names: {"bearing1.x.kL": 1e7} as {"bearing1": {"x": {"kL": 1e7}}}."""
     out: dict[str, Any] = {}
     for name, value in values.items():
         at = out
@@ -265,6 +266,7 @@ def _by_parts(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _json_schema(values: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON schema of nested numbers. values : by name, a map again, a number, or the unit of one."""
     properties: dict[str, Any] = {}
     for name, value in values.items():
         unit = {"description": value} if isinstance(value, str) else {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Protocol
 
@@ -132,7 +132,7 @@ class LogEncoder:
         self._add(codec.ESTIMATE_CHANNEL, self._last_ns, codec.encode_estimate(estimate))
         if estimate.parameters:
             values = codec.encode_estimates(estimate.parameters)
-            topic = self._viewer_id(codec.ESTIMATES_TOPIC, schema=codec.estimates_schema(estimate.parameters))
+            topic = self._estimates_id(lambda: codec.estimates_schema(estimate.parameters))
             self._add(topic, self._last_ns, values)
 
     def status(self, status: Status) -> None:
@@ -151,8 +151,11 @@ class LogEncoder:
 
     def raw_viewer_message(self, name: str, log_time: int, publish_time: int, data: bytes) -> None:
         """A message of a topic for viewers as it was in another log: for `recover`."""
-        schema = codec.estimates_schema_of(data) if name == codec.ESTIMATES_TOPIC else b""
-        self._add(self._viewer_id(name, self._units.get(name, ""), schema), log_time, data, publish_time)
+        if name == codec.ESTIMATES_TOPIC:
+            topic = self._estimates_id(lambda: codec.estimates_schema_of(data))
+        else:
+            topic = self._preview_id(name, self._units.get(name, ""))
+        self._add(topic, log_time, data, publish_time)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         self._mcap.add_attachment(0, 0, codec.text(name), media_type, data)
@@ -184,18 +187,25 @@ class LogEncoder:
             schema = self._mcap.register_schema(topic.schema, "protobuf", descriptor_set(topic.schema))
         return int(self._mcap.register_channel(topic.name, topic.encoding, schema))
 
-    def _viewer_id(self, name: str, unit: str = "", schema: bytes = b"") -> int:
-        """Number of a topic for viewers, for `_put`; registered when it is first seen."""
+    def _preview_id(self, name: str, unit: str) -> int:
+        """Number of the topic of a preview, for `_put`; registered when it is first seen."""
         if name not in self._viewer_ids:
-            if name == codec.ESTIMATES_TOPIC:
-                encoding, about = "json", dict[str, str]()
-                number = self._mcap.register_schema(codec.ESTIMATES_SCHEMA, "jsonschema", schema)
-            else:
-                encoding, about, known = "cdr", {"unit": codec.text(unit)}, codec.LOG_TOPICS[codec.PREVIEW_CHANNEL - 1]
-                number = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
-            self._viewer_ids[name] = len(self._ids)
-            self._ids.append(self._mcap.register_channel(codec.text(name), encoding, number, about))
+            known = codec.LOG_TOPICS[codec.PREVIEW_CHANNEL - 1]
+            schema = self._mcap.register_schema(known.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
+            self._register_viewer(name, "cdr", schema, {"unit": codec.text(unit)})
         return self._viewer_ids[name]
+
+    def _estimates_id(self, schema: Callable[[], bytes]) -> int:
+        """Number of the topic of the estimates, for `_put`; registered, with its JSON schema, when it is first seen."""
+        name = codec.ESTIMATES_TOPIC
+        if name not in self._viewer_ids:
+            number = self._mcap.register_schema(codec.ESTIMATES_SCHEMA, "jsonschema", schema())
+            self._register_viewer(name, "json", number, {})
+        return self._viewer_ids[name]
+
+    def _register_viewer(self, name: str, encoding: str, schema: int, about: dict[str, str]) -> None:
+        self._viewer_ids[name] = len(self._ids)
+        self._ids.append(self._mcap.register_channel(codec.text(name), encoding, schema, about))
 
     def _introduce(self) -> None:
         if self._session and self._info is not None:
@@ -285,5 +295,5 @@ class LogEncoder:
         for index, low, high in windows:
             for at, counts in ((index, low), (index + half, high)) if half else ((index, low),):
                 for signal, value in zip(self._info.signals, counts * scale + offset, strict=True):
-                    topic = self._viewer_id(codec.PREVIEW_TOPIC + signal.name, signal.unit)
+                    topic = self._preview_id(codec.PREVIEW_TOPIC + signal.name, signal.unit)
                     self._add(topic, self._on_axis(at), codec.encode_multi_array(np.array([value])))
