@@ -19,6 +19,7 @@ from daq.base.console.stop import asked  # noqa: E402
 from daq.base.contract.errors import exit_status  # noqa: E402
 
 from . import analyse, archive, demo, files, live, model, trend  # noqa: E402
+from .options import switch  # noqa: E402
 
 INTERRUPTED_STATUS = 130  # 128 + SIGINT
 ABOUT_TEXT = (
@@ -51,9 +52,7 @@ def application(only: str = "") -> typer.Typer:
 
     @app.callback()
     def rotorscope(
-        version: Annotated[
-            bool, typer.Option("--version", callback=_version, is_eager=True, metavar="", help="Print it.")
-        ] = False,
+        version: Annotated[bool, switch("--version", callback=_version, is_eager=True, help="Print it.")] = False,
     ) -> None:
         pass
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Json, Output, Quiet, Verbose
+from .options import Json, Output, Quiet, Verbose, switch
 
 SCHEDULER_TEXT = (
     "local:N for N processes of this computer (default: one a core), or the address of a Dask scheduler, such as "
@@ -36,9 +36,7 @@ def batch(
     every: Annotated[
         str | None, typer.Option("--every", metavar="T", help="Time between the starts of two windows, such as 1h.")
     ] = None,
-    only_failed: Annotated[
-        bool, typer.Option("--only-failed", metavar="", help="Do again what failed, and nothing else.")
-    ] = False,
+    only_failed: Annotated[bool, switch("--only-failed", help="Do again what failed, and nothing else.")] = False,
     timeout: Annotated[
         float | None, typer.Option("--timeout", metavar="S", min=1.0, help="Give up an analysis that takes longer.")
     ] = None,

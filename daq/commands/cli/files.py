@@ -9,7 +9,7 @@ import typer
 
 from daq.base.console.stop import all_or_nothing
 
-from .options import Json, Output, Part, Quiet, RigOption, Verbose, of_a_part
+from .options import Json, Output, Part, Quiet, RigOption, Verbose, of_a_part, switch
 
 Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
 
@@ -30,7 +30,7 @@ def import_(
     ] = None,
     gaps: Annotated[
         bool,
-        typer.Option("--gaps", metavar="", help="Rows that are NaN in every channel become gaps, instead of an error."),
+        switch("--gaps", help="Rows that are NaN in every channel become gaps, instead of an error."),
     ] = False,
     json: Json = None,
     quiet: Quiet = False,

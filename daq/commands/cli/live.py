@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Json, Output, Part, Quiet, RigArgument, Verbose, of_a_part
+from .options import Json, Output, Part, Quiet, RigArgument, Verbose, of_a_part, switch
 
 LINK_FORMS = (
     "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
@@ -39,9 +39,7 @@ KeepFree = Annotated[
     str | None,
     typer.Option("--keep-free", metavar="SIZE", help="Remove them to leave so much disk free (1GB with --keep)."),
 ]
-RemoveAlarms = Annotated[
-    bool, typer.Option("--remove-alarms", metavar="", help="Remove segments with an alarm like the others.")
-]
+RemoveAlarms = Annotated[bool, switch("--remove-alarms", help="Remove segments with an alarm like the others.")]
 Every = Annotated[
     str | None, typer.Option("--every", metavar="1h", help="Store samples once in so long, for --for; estimate always.")
 ]
@@ -76,9 +74,7 @@ def run(
     rerun: Annotated[
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", metavar="", help="Exit with 1 if any sample was lost or an alarm came.")
-    ] = False,
+    strict: Annotated[bool, switch("--strict", help="Exit with 1 if any sample was lost or an alarm came.")] = False,
     metrics: Annotated[
         int | None, typer.Option("--metrics", metavar="PORT", help="Prometheus metrics on 127.0.0.1:PORT.")
     ] = None,
@@ -163,7 +159,7 @@ def replay(
     ] = None,
     check: Annotated[
         bool,
-        typer.Option("--check", metavar="", help="Exit with 1 unless the estimates equal the logged ones bit for bit."),
+        switch("--check", help="Exit with 1 unless the estimates equal the logged ones bit for bit."),
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a new log.")] = None,
     rerun: Annotated[

@@ -13,11 +13,17 @@ import typer
 from daq.base.console.output import Output
 from daq.base.contract.part import Part
 
+
+def switch(*names: str, help: str, **more: Any) -> Any:
+    """An option that takes no value: the help shows no type beside it. more : of `typer.Option`."""
+    return typer.Option(*names, metavar="", help=help, **more)
+
+
 Json = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output.")
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", metavar="", help="Only errors.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", metavar="", help="More detail, and tracebacks of errors.")]
+Quiet = Annotated[bool, switch("--quiet", "-q", help="Only errors.")]
+Verbose = Annotated[bool, switch("--verbose", "-v", help="More detail, and tracebacks of errors.")]
 RigArgument = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (TOML).")]
 RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG", help="Rig file (TOML).")]
 LogArgument = Annotated[
