@@ -168,9 +168,9 @@ def _random_power(P: NDArray[Any], bins: int) -> Array:
     """
     n = _transform_size(P.size, bins)
     products = rfft(P, n)
-    R = irfft(products.real**2 + products.imag**2, n)[None, : bins + 1].astype(np.float64)
-    random = 0.25 * R[:, :bins] + 0.0625 * (_before(R)[:, :bins] + R[:, 1:])
-    return np.asarray(random[0] * (4.0 / n) ** 2)
+    R = irfft(products.real**2 + products.imag**2, n)[: bins + 1].astype(np.float64)
+    random = 0.25 * R[:bins] + 0.0625 * (_before(R)[:bins] + R[1:])
+    return np.asarray(random * (4.0 / n) ** 2)
 
 
 def _transform_size(band: int, bins: int) -> int:
@@ -179,8 +179,8 @@ def _transform_size(band: int, bins: int) -> int:
 
 
 def _before(lags: NDArray[Any]) -> NDArray[Any]:
-    """(pieces, k) values one lag before each, of a function of the lag that is conjugate-even about 0."""
-    return np.concatenate([lags[:, 1:2].conj(), lags[:, :-1]], axis=1)
+    """(..., k) values one lag before each, of a function of the lag that is conjugate-even about 0."""
+    return np.concatenate([lags[..., 1:2].conj(), lags[..., :-1]], axis=-1)
 
 
 def _at_one_level(x: Series, rows: int) -> Series:
