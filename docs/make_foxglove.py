@@ -18,27 +18,29 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, BinaryIO
 
-PACKAGES = ("@foxglove/studio-base@1.48.0", "react@17.0.2", "react-dom@17.0.2")
+NPM_PACKAGES = ("@foxglove/studio-base@1.48.0", "react@17.0.2", "react-dom@17.0.2")
 LOADED_S = 20.0  # until the plots have all of the log
 BEFORE_END_S = 0.2  # where the player stands
-PREVIEWS = ("/preview/b1x.data[0]", "/preview/b2x.data[0]")
-ESTIMATES = ("/estimates.bearing1.x.kL", "/estimates.bearing2.x.kL")
+PREVIEW_PATHS = ("/preview/b1x.data[0]", "/preview/b2x.data[0]")
+ESTIMATE_PATHS = ("/estimates.bearing1.x.kL", "/estimates.bearing2.x.kL")
 
 
 def plot(paths: tuple[str, ...]) -> dict[str, Any]:
+    """Settings of a Foxglove plot of some message paths against time."""
     series = [{"value": path, "enabled": True, "timestampMethod": "receiveTime"} for path in paths]
     axes = {"showXAxisLabels": True, "showYAxisLabels": True, "xAxisVal": "timestamp", "isSynced": True}
     return {"paths": series, "showLegend": True, "legendDisplay": "top", "sidebarDimension": 90, **axes}
 
 
 def split(direction: str, first: Any, second: Any, percent: float = 50.0) -> dict[str, Any]:
+    """Two panels of a Foxglove layout side by side ("row") or one above the other; percent : of the first."""
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percent}
 
 
-LAYOUT = {
+PANEL_LAYOUT = {
     "configById": {
-        "Plot!1": plot(PREVIEWS),
-        "Plot!2": plot(ESTIMATES),
+        "Plot!1": plot(PREVIEW_PATHS),
+        "Plot!2": plot(ESTIMATE_PATHS),
         "RosOut!3": {"topicToRender": "/log", "searchTerms": [], "minLogLevel": 1},
         "RawMessages!4": {"topicPath": "/estimate", "diffEnabled": False},
     },
@@ -52,7 +54,7 @@ LAYOUT = {
 
 
 class Page(SimpleHTTPRequestHandler):
-    """Files of a folder, with parts of files, which Foxglove asks for; /wait keeps the picture waiting."""
+    """A server of the files of a folder, also in parts, as Foxglove reads a log; /wait answers after `LOADED_S`."""
 
     def log_message(self, *_: Any) -> None:
         """Nothing."""
@@ -83,7 +85,7 @@ def prepare(log: Path, folder: Path) -> None:
     """The application, the page, the log and what is to be seen of it, in a folder."""
     from mcap.reader import make_reader
 
-    install = ["npm", "install", "--silent", "--no-audit", "--no-fund", *PACKAGES]
+    install = ["npm", "install", "--silent", "--no-audit", "--no-fund", *NPM_PACKAGES]
     (folder / "package.json").write_text("{}")
     subprocess.run(install, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     (folder / "index.html").write_bytes(Path(__file__).with_name("foxglove.html").read_bytes())
@@ -92,7 +94,7 @@ def prepare(log: Path, folder: Path) -> None:
         summary = make_reader(file).get_summary()
     end_ns = summary.statistics.message_end_time if summary and summary.statistics else 0
     at = datetime.fromtimestamp(end_ns / 1e9 - BEFORE_END_S, UTC).isoformat(timespec="milliseconds")
-    view = {"log": log.name, "time": at.replace("+00:00", "Z"), "layout": LAYOUT}
+    view = {"log": log.name, "time": at.replace("+00:00", "Z"), "layout": PANEL_LAYOUT}
     (folder / "view.json").write_text(json.dumps(view))
 
 

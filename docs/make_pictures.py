@@ -74,6 +74,7 @@ def report(folder: Path) -> Path:
 
 
 def browser() -> list[str]:
+    """Command line of a browser without a screen."""
     found = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-background-networking"]
     return [found, *options]
@@ -122,7 +123,7 @@ def screenshot(recording: Path, out: Path) -> Path:
 
 
 def smaller(out: Path) -> None:
-    """The same picture in 255 colours."""
+    """Write a picture again with 255 colours, which is smaller."""
     from PIL import Image
 
     with Image.open(out) as picture:

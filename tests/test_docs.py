@@ -17,7 +17,7 @@ SOURCE = re.compile(r"`((?:estimator|daq|drivers|tests|configs)/[\w/.<>*-]*)`")
 LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
 DEVELOPERS = ("ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
 NAMES_A_SOURCE_FILE = re.compile(r"`?\b(?:estimator|daq|drivers)/[\w/]+\.py\b|(?<!\])\([a-z_]+\.py\)")
-REVISION = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,8}\b")
+REVISION_PATTERN = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,8}\b")
 ARCHITECTURE_LINES = 120
 RIG = ROOT / "tests" / "data" / "one_cap.toml"
 
@@ -45,7 +45,7 @@ def test_the_manual_names_no_source_file_and_no_revision(page: Path) -> None:
         return
     text = page.read_text("utf-8")
     assert not NAMES_A_SOURCE_FILE.findall(text)
-    assert not REVISION.findall(text)
+    assert not REVISION_PATTERN.findall(text)
 
 
 def test_the_reference_pages_are_those_of_the_code() -> None:

@@ -51,7 +51,7 @@ class BearingSurvey:
 
     @cached_property
     def too_strong(self) -> Message | None:
-        """Why nothing is named beside laws of the model that vary the stiffness of a place by much; None without any.
+        """Why nothing is named: the laws of the model vary a stiffness by more than the fit can follow; else None.
 
         The fit follows the fluctuation of a tangent to the second order alone; beside a measured force it needs none.
         """
@@ -68,7 +68,9 @@ class BearingSurvey:
 
     @cached_property
     def inconclusive(self) -> Message | None:
-        """Why a missing force could hide where none is found; None where one is found, or the record would show it.
+        """Why the record does not decide whether a force is missing; None where it decides.
+
+        A law is too strong for the fit, or none is found to be missing and one could hide.
 
         Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
         the bearing open, and in a short record.

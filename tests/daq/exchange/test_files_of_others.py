@@ -242,7 +242,7 @@ def test_channels_of_matlab_say_their_units_and_rates(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize(("unit", "factor"), [("mm/s^2", 1e-3), ("g", 9.80665), ("SI", 1.0)])
 def test_one_unit_beside_several_channels(tmp_path: Path, unit: str, factor: float) -> None:
-    """It was passed over: values a thousand times too large."""
+    """A file's one unit was passed over, and values were a thousand times too large."""
     import scipy.io
 
     both: dict[str, Any] = {"b1x": X, "b2x": Y, "fs": 100.0}

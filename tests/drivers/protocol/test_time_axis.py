@@ -103,7 +103,7 @@ def starved(sent_s: np.ndarray, rng: np.random.Generator, from_s: float, off_s: 
 @pytest.mark.parametrize("lost_share", [0.0, 5e-4])
 @pytest.mark.parametrize(("hz", "off_s", "on_s"), [(100.0, 0.1, 0.003), (100.0, 3.0, 0.01), (400.0, 0.4, 0.01)])
 def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, lost_share: float, from_s: float) -> None:
-    """It counted up to 2000 samples too many in 200 s, and took 100 Hz for 5 kHz when it was so from the start."""
+    """The axis counted up to 2000 samples too many in 200 s, and took 100 Hz for 5 kHz when starved from the start."""
     rng, n = np.random.default_rng(0), round(120 * hz)
     sent_s = np.maximum.accumulate(np.arange(n) / (hz * 1.0001) + rng.exponential(3e-4, n))
     kept = np.flatnonzero(rng.random(n) >= lost_share)
@@ -122,7 +122,7 @@ def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, los
 
 @pytest.mark.parametrize("hz", [400.0, 1000.0])
 def test_losses_at_random_among_uneven_stamps_are_no_slower_device(hz: float) -> None:
-    """2 % lost, read every 4 ms: the rate was taken 2 % too low, and no loss was told."""
+    """With 2 % lost and reads every 4 ms the rate was taken 2 % too low, and no loss was told."""
     rng, n = np.random.default_rng(0), round(30 * hz)
     read_s = np.ceil(np.maximum.accumulate(np.arange(n) / hz + rng.exponential(3e-4, n)) / 0.004) * 0.004
     kept = np.flatnonzero(rng.random(n) >= 0.02)

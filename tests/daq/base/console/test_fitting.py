@@ -17,7 +17,7 @@ from daq.base.console.tables import ladder_table, parameters_table
 from estimator.results import Parameter
 
 REPOSITORY_FOLDER = Path(__file__).parents[4]
-RUNG: dict[str, object] = {
+LADDER_ROW: dict[str, object] = {
     "effects": ["cubic", "clearance"],
     "heldout_nll": -4.71425,
     "missing_force_percent": {"value": 0.0, "low": 0.0, "high": 0.38},
@@ -71,7 +71,7 @@ def test_the_numbers_of_a_fit_are_whole_at_every_width(width: int) -> None:
         "bearing1.x.m": Parameter(0.2, 0.0, "kg", reason="given"),
     }
     out = io.StringIO()
-    Console(file=out, width=width).print(parameters_table(parameters), ladder_table([RUNG]))
+    Console(file=out, width=width).print(parameters_table(parameters), ladder_table([LADDER_ROW]))
     text = out.getvalue()
     assert max(map(len, text.splitlines())) <= width
     assert "\N{HORIZONTAL ELLIPSIS}" not in text
