@@ -260,7 +260,8 @@ def _max_likelihood(
 
     best: tuple[float, Array, Array] | None = None
     for start in starts:
-        found = least_squares(residual, start / scale, slopes, method="lm", max_nfev=60)
+        # scipy before 1.16 takes steps of one scale unless asked, and ends beside the maximum
+        found = least_squares(residual, start / scale, slopes, method="lm", x_scale="jac", max_nfev=60)
         if best is None or found.cost < best[0]:
             J = np.asarray(found.jac)
             H = J.T @ J
