@@ -232,6 +232,8 @@ def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
                 queue.put(readings)
             elif driver.exhausted:
                 break
+        driver.close()
+        queue.put(driver.read(0.0))  # samples that were held
     except BaseException as error:  # raised again in the core loop
         failure = error
     queue.end(failure)

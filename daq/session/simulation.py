@@ -241,6 +241,9 @@ class OnDeviceTime:
         """Why no sample has come."""
         return self._decoder.nothing()
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        return self._decoder.finish(t_host_ns)
+
     def cause(self, reason: str) -> None:
         self._decoder.cause(reason)
 

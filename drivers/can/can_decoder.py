@@ -66,6 +66,10 @@ class CanDecoder:
             f"0x{self._base + protocol.ID_INFO_PART:X}: for another maker's set link.dbc and [link.signals], else ?id="
         )
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """Nothing is held: the device counts its samples."""
+        return list(self.notices.take())
+
     def wanted(self, frames: CanFrames) -> NDArray[np.bool_]:
         """(n,) frames of the device."""
         offset = frames.ids.astype(np.int64) - self._base

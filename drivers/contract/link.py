@@ -68,6 +68,10 @@ class Decoder(Protocol[In]):
         """Why frames gave no sample: what was seen, and what to do."""
         ...
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """What was held until more is known: nothing follows."""
+        ...
+
 
 class Link:
     """A driver made of a source and a decoder (see drivers.contract.reading.Driver).
@@ -85,6 +89,7 @@ class Link:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._closed.set()
+        self._finished = True
         self._connected = False
         self._attempt = 0
         self._next_try_s = 0.0
@@ -101,6 +106,7 @@ class Link:
                 return
             self._source.open()
             self._closed.clear()
+            self._finished = False
             self._connected = True
             self._last_data_s = self._last_samples_s = time.monotonic()
 
@@ -126,7 +132,10 @@ class Link:
                 if out or left <= 0 or self._source.exhausted:
                     return out
             self._release()
-        return []
+            if self._finished:
+                return []
+            self._finished = True
+            return self._decoder.finish(time.monotonic_ns())
 
     def _step(self, wait_s: float) -> list[Reading]:
         if not self._connected:

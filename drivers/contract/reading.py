@@ -139,7 +139,10 @@ class Driver(Protocol):
     def close(self) -> None: ...  # idempotent, wakes a blocked read within 0.2 s
 
     def read(self, timeout_s: float) -> list[Reading]:
-        """What has arrived, in order; [] after `timeout_s` with nothing."""
+        """What has arrived, in order; [] after `timeout_s` with nothing.
+
+        The first read after `close` returns the samples that were held until it is known whether any is missing.
+        """
         ...
 
     @property

@@ -33,6 +33,10 @@ class PacketDecoder:
         """Why no sample has come."""
         return self._inner.nothing()
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """What was held until more is known (see Decoder)."""
+        return self._inner.finish(t_host_ns)
+
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
         """Readings of these bytes; t_host_ns is when the last was read."""
         self.stats.bytes += len(chunk)

@@ -141,6 +141,12 @@ class MappedDecoder:
         self._read_rows(mine, t_host_ns, final)
         return self._place(t_host_ns, final)
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """What waits for a second in which frames come evenly, once the rate is known: nothing follows."""
+        if not self.learned or self._axis.rate_hz is None:
+            return list(self.notices.take())
+        return self.feed(CanFrames.build([]), t_host_ns, final=True)
+
     # -- which frames, and what the first ones show ----------------------------------------------------------------
 
     def _mine(self, frames: CanFrames, t_host_ns: int, holes: I64Array | None) -> _Frames:

@@ -57,6 +57,10 @@ class SlcanDecoder:
         """Why no sample has come."""
         return self._inner.nothing()
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """What was held until more is known (see Decoder)."""
+        return self._inner.finish(t_host_ns)
+
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
         self.stats.bytes += len(chunk)
         lines = self._codec.feed(chunk, t_host_ns)

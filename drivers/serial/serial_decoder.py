@@ -63,6 +63,10 @@ class SerialDecoder:
         """Why no sample has come."""
         return "check the device"
 
+    def finish(self, t_host_ns: int) -> list[Reading]:
+        """Nothing is held: the device counts its samples."""
+        return list(self.notices.take())
+
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:
         """Readings of these bytes; t_host_ns is when the last was read."""
         out: list[Reading] = []

@@ -161,6 +161,25 @@ def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path
     assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
+def test_samples_that_a_link_held_until_the_stop_are_logged(tmp_path: Path) -> None:
+    class Holding(ScriptedDriver):
+        """Holds its last block until it is closed, as a link does that waits for certainty about a gap."""
+
+        held = True
+
+        def read(self, timeout_s: float) -> list[Reading]:
+            if not (self._closed.is_set() and self.held):
+                return super().read(timeout_s)
+            self.held = False
+            return [vibration(2000, 500)]
+
+    stop = threading.Event()
+    driver = Holding([[INFO], [vibration(0, 2000)]], ends=False)
+    threading.Timer(0.2, stop.set).start()
+    summary = acquire_from(RIG, driver, [LogWriter(tmp_path / "a.mcap")], stop=stop, make=MomentEstimator)
+    assert summary.samples == read_log(tmp_path / "a.mcap").n_samples == 2500
+
+
 def test_a_link_that_cannot_be_opened_closes_the_sinks() -> None:
     class Shut(ScriptedDriver):
         def open(self) -> None:

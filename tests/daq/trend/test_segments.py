@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from daq.commands.cli.app import main
 from daq.log.reader import read_log
 from daq.session.acquire import RunSummary, acquire_from
 from daq.session.estimation import block_rows
+from daq.session.estimators import MakeEstimator
 from daq.session.replay import replay_into
 from daq.trend.folder import LoggedSession, sessions
 from daq.trend.names import ALARM_CODE, Segment, segment_name, segment_of, segments
@@ -28,6 +30,7 @@ from daq.trend.retention import remove_old
 from daq.trend.segments import SegmentedLog
 from daq.trend.sizes import Cut, Keep, asked_cut, asked_keep
 from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
+from estimator import Model
 
 RIG = paper_rig()
 RATE_HZ = 25600.0
@@ -38,12 +41,13 @@ T0_NS = 1_700_000_000 * S_NS
 
 
 def record(
-    folder: Path, stream: Iterable[Reading], cut: Cut, keep: Keep | None = None, kind: str = "scripted"
-) -> RunSummary:
+    folder: Path, stream: Iterable[Reading], cut: Cut, keep: Keep | None = None, kind: str = "scripted",
+    make: MakeEstimator = MomentEstimator,
+) -> RunSummary:  # fmt: skip
     """A session of these readings, one a batch."""
     log = SegmentedLog(folder, "press", cut, keep or Keep(), block_rows=block_rows, live=kind == "scripted")
-    batches = [[INFO], *([reading] for reading in stream)]
-    return acquire_from(RIG, ScriptedDriver(batches, kind), [log], make=MomentEstimator, metadata={"command": "run"})
+    batches = chain([[INFO]], ([reading] for reading in stream))
+    return acquire_from(RIG, ScriptedDriver(batches, kind), [log], make=make, metadata={"command": "run"})
 
 
 def blocks(first: int, stop: int, step: int = 700) -> list[Reading]:
@@ -74,7 +78,19 @@ def test_segments_are_cut_on_blocks_complete_and_replay_as_one(tmp_path: Path) -
 
 def test_a_last_segment_of_which_nothing_can_be_read_leaves_the_others_checkable(tmp_path: Path) -> None:
     """As a full disk leaves it: the estimate of the last block came when the next segment had begun."""
-    record(tmp_path, blocks(0, 90 * ROWS), Cut(seconds=1.0))
+    made: list[MomentEstimator] = []
+
+    def make(model: Model, rate_hz: float) -> MomentEstimator:
+        made.append(MomentEstimator(model, rate_hz))
+        return made[-1]
+
+    def stream() -> Iterable[Reading]:
+        """The samples of the last segment come after the estimates of the first: an estimator may be slow."""
+        yield from blocks(0, 40 * ROWS)
+        until(lambda: len(made[-1].blocks) >= 30)  # the first was made to warm up
+        yield from blocks(40 * ROWS, 90 * ROWS)
+
+    record(tmp_path, stream(), Cut(seconds=1.0), make=make)
     last = segments(tmp_path)[-1].path
     last.write_bytes(last.read_bytes()[:2000])
     session = only(tmp_path)

@@ -441,6 +441,25 @@ def test_frames_that_were_held_up_wait_and_the_reason_is_said() -> None:
     assert decoder.stats.lost_samples == 0
 
 
+def test_what_was_held_comes_with_the_first_read_after_the_close() -> None:
+    """Frames that came at once wait for an even second; a stop that comes before it must not lose them."""
+    driver = make_driver(CanConfig("virtual", "held"), dbc=DBC, signals={"x": "JN2300.X"}, expected=Expected(200.0))
+    driver.open()
+    sender = can.Bus("held", interface="virtual", preserve_timestamps=True)
+    for k in range(900):
+        at_s = k / 200 if k < 600 else 4.5 + k * 1e-6
+        data = struct.pack("<3h", k, 0, 0)
+        sender.send(can.Message(arbitration_id=0x04FF0319, data=data, timestamp=1000 + at_s))
+    record = read_until(driver, Record(ramp=False), lambda r: r.samples >= 600)
+    assert driver.read(0.2) == []
+    driver.close()
+    record.take(driver.read(0.0))
+    assert driver.read(0.0) == []
+    sender.shutdown()
+    assert record.samples == 900
+    assert not record.gaps
+
+
 @pytest.mark.promise(
     "clock of the computer is set, a device without a counter on SocketCAN",
     "the kernel's stamps leap by 0.3 s, an hour, two days, and back",
