@@ -11,17 +11,17 @@ from drivers.foreign import MappedDecoder
 
 from .packets import Framer
 
-BITS_OF_BYTE = 10  # on the line: start, eight, stop
-
 
 class PacketDecoder:
-    """Packets are stamped by when their last byte was on the line, as the baud rate has it."""
+    """Packets are stamped by when the host read them.
 
-    def __init__(self, inner: MappedDecoder, framer: Framer, baud: int) -> None:
+    The baud rate does not show when a packet was sent: an adapter hands bytes over in bursts, USB has no baud rate.
+    """
+
+    def __init__(self, inner: MappedDecoder, framer: Framer) -> None:
         self.stats = inner.stats
         self.notices = inner.notices
         self._inner, self._framer = inner, framer
-        self._byte_ns = BITS_OF_BYTE * 1e9 / baud
 
     def cause(self, reason: str) -> None:
         """Why samples may be missing before the next packet (see Continuity)."""
@@ -48,5 +48,5 @@ class PacketDecoder:
             self.notices.add(t_host_ns, "warning", "crc", "packets with a wrong check sum, or cut: dropped")
         if not len(found.frames) and not damaged:
             return list(self.notices.take())
-        stamps = t_host_ns - np.rint(found.behind * self._byte_ns).astype(np.int64)
+        stamps = np.full(len(found.frames), t_host_ns, np.int64)
         return self._inner.feed(replace(found.frames, t_ns=stamps), t_host_ns, holes=found.holes)

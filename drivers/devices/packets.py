@@ -20,12 +20,11 @@ MAX_PAYLOAD = 64  # bytes of a frame that are kept, as of CAN FD
 class Packets:
     """What a piece of the stream held.
 
-    frames : a packet each, or a field of one; their times are not set. behind : (n,) bytes of the piece that came after
-    the end of each. holes : (n + 1,) damaged packets before each, and behind the last.
+    frames : a packet each, or a field of one; their times are not set. holes : (n + 1,) damaged packets before each,
+    and behind the last.
     """
 
     frames: CanFrames
-    behind: I64Array
     holes: I64Array
 
 
@@ -95,7 +94,7 @@ class PacketFramer:
         if len(of):
             new = np.flatnonzero(np.diff(of, prepend=-1))
             np.add.at(holes, new, damaged[of[new]])
-        return Packets(frames=frames, behind=size - last[of], holes=holes)
+        return Packets(frames=frames, holes=holes)
 
     def _damaged(self, junk: I64Array) -> I64Array:
         """Packets that so many bytes were; those before the first sound one are the middle of a stream."""

@@ -37,7 +37,7 @@ class TextNumbersFramer:
         self._tail = rest[-MAX_LINE:]
         self._cut |= len(rest) > MAX_LINE
         if not newline:
-            return self._packets(np.zeros((0, 1)), np.zeros(0, np.int64), [])
+            return self._packets(np.zeros((0, 1)), [])
         text = whole.translate(BLANK_SEPARATORS) + b"\n"
         data = np.frombuffer(text, np.uint8)
         stops = np.flatnonzero(data == 10)
@@ -59,10 +59,9 @@ class TextNumbersFramer:
             else:
                 waiting += 1
         self._damaged = waiting if self._columns else 0
-        behind = len(rest) + len(text) - 1 - stops[good]
-        return self._packets(values[read], behind, holes)
+        return self._packets(values[read], holes)
 
-    def _packets(self, values: NDArray[np.float64], behind: NDArray[np.int64], holes: list[int]) -> Packets:
+    def _packets(self, values: NDArray[np.float64], holes: list[int]) -> Packets:
         n = len(values)
         payload = np.zeros((n, MAX_PAYLOAD), np.uint8)
         if n:
@@ -70,7 +69,7 @@ class TextNumbersFramer:
         frames = CanFrames(
             np.full(n, LINE_ID, np.uint32), np.full(n, 8 * values.shape[1], np.uint8), payload, np.zeros(n, np.int64)
         )
-        return Packets(frames=frames, behind=behind, holes=np.array([*holes, 0], np.int64))
+        return Packets(frames=frames, holes=np.array([*holes, 0], np.int64))
 
 
 def _tokens(data: NDArray[np.uint8], stops: NDArray[np.intp]) -> NDArray[np.int64]:

@@ -152,7 +152,7 @@ def _device(
         own = ", ".join(profile.signals)
         raise LinkError(f"device={profile.name}: say in [link.signals] of the rig file what each channel is: {own}")
     inner = MappedDecoder(stats, profile.dbc if dbc is None else dbc, signals, expected)
-    decoder = PacketDecoder(inner, profile.make(), config.baud)
+    decoder = PacketDecoder(inner, profile.make())
     return Link("serial", config.target, PortSource(config.target, config.port, config.baud), decoder)
 
 

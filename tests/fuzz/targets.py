@@ -138,7 +138,7 @@ def devices(data: bytes, folder: Path) -> None:
     cut = data[0] * len(data) // 256 if data else 0
     for profile in DEVICE_PROFILES.values():
         inner = MappedDecoder(LinkStats(), profile.dbc, {"b1x": profile.signals[0]}, rate_hz=100.0)
-        decoder, at = PacketDecoder(inner, profile.make(), 115_200), 0
+        decoder, at = PacketDecoder(inner, profile.make()), 0
         for k, part in enumerate((data[:cut], data[cut:], data)):
             at = assert_axis(decoder.feed(part, k * 20_000_000), at)
 
