@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from estimator.arrays import Array, return_freed_memory
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
+from estimator.identification.residual.strong_law import strong_law_message
 from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
-from estimator.likelihood.motion.located_law import tangent_series
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
@@ -51,20 +49,8 @@ class BearingSurvey:
 
     @cached_property
     def too_strong(self) -> Message | None:
-        """Why nothing is named: the laws of the model vary a stiffness by more than the fit can follow; else None.
-
-        The fit follows the fluctuation of a tangent to the second order alone; beside a measured force it needs none.
-        """
-        data = self.part.data
-        for i, place in enumerate(() if data.measured_force else data.places):
-            own = [law for law in self.part.placed if i in law.at and law.effect.kind == "force"]
-            tangent = np.sum([tangent_series(law, data, i, law.p)[0] for law in own], axis=0)
-            varies_rel = float(np.std(tangent, dtype=np.float64) / abs(self.part.mean_tangent[i, i, 0]))
-            if varies_rel > LIMITS.max_tangent_sd_rel:
-                text = f"the laws of the model vary the stiffness of {place} by {100 * varies_rel:.0f} % (rms)"
-                advice = "no value there is reliable and nothing missing is named: record at a lower level of vibration"
-                return Message(NOT_CONCLUSIVE, f"{text}, more than the fit can follow: {advice}", place)
-        return None
+        """Why nothing is named: the laws of the model vary a stiffness by more than the fit can follow; else None."""
+        return strong_law_message(self.part)
 
     @cached_property
     def inconclusive(self) -> Message | None:

@@ -27,9 +27,6 @@ class Thresholds:
     max_hidden_force_percent: float = 3.0  # of the bearing force: the least effect that users are promised to be told
     # of a record that shows the effects that are there: of 14 hidden ones in 10 to 12 s, 4 were not seen
     min_seconds_beside_modes: float = 15.0
-    # rms, of the mean tangent of a place: six of seven false claims on 114 complete rigs lie above it, and kL is off by
-    # more than its standard deviation
-    max_tangent_sd_rel: float = 0.5
 
     # twin
     twin_seconds: float = 5.0  # of the simulated record

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.residual.measured_path import force_noise_ratio
+from estimator.identification.residual.strong_law import strong_law_message
 from estimator.identification.structure.spectral_models import mean_power
 from estimator.likelihood.fitting.gauss_newton import last_step_sd
 from estimator.likelihood.motion.prepare import RECORD_LONG_CODE, check_record
@@ -80,6 +81,8 @@ def _fit_messages(found: FullFit) -> tuple[Message, ...]:
     if inside := tuple(hz for line in point.data.lines if low < (hz := line.centre_hz) < high):
         words = lines_in_words(inside, found.model.speed_rpm)
         out.append(Message("lines_left_out", f"spectral lines left out of the fit: {words}"))
+    if (strong := strong_law_message(point)) is not None:
+        out.append(strong)
     return (*out, *(m for i in range(len(point.data.places)) for m in _not_white(point, i)))
 
 

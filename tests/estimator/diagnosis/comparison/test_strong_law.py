@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from estimator import Channel, EffectUse, Model, Setting, compare, diagnose, simulate
+from estimator import Channel, EffectUse, Model, Setting, compare, diagnose, fit, simulate
 from estimator.results import NOT_CONCLUSIVE
 
 RATE_HZ = 610.0
@@ -37,5 +37,5 @@ def test_beside_a_law_that_varies_the_stiffness_by_more_than_half_nothing_is_nam
     rig = replace(true, linear={}, effects=(EffectUse("cubic", {"bearing1.x": {}}),))
     found, compared = diagnose(rig, y, RATE_HZ), compare(rig, y, RATE_HZ)
     assert (found.verdict, compared.adequate) == (("unknown", False) if strong else ("complete", True))
-    for messages in (found.messages, compared.messages):
+    for messages in (fit(rig, y, RATE_HZ).messages, found.messages, compared.messages):
         assert (NOT_CONCLUSIVE in [m.code for m in messages]) is strong
