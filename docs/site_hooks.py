@@ -1,13 +1,29 @@
-"""Hooks of the site: links to files outside of docs/ become their names, blocks after a list keep their form."""
+"""Hooks of the site: links to files outside of docs/ become their names, code is shown as it is typed."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
+INLINE_CODE = re.compile(r"(?<!<pre>)(?<!</span>)<code>([^<]*)</code>")
+SHORT_WORD = re.compile(r"(?<!\S)(?=\S*[-_/.])\S{2,24}(?!\S)")  # that a line would be broken in
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./)+[^)]*\)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """The page without links that lead out of the site."""
     return OUTSIDE_LINK.sub(lambda found: found[1], markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """The page whose inline code has whole words, and a pipe where a table asks for an escaped one."""
+
+    def shown(found: re.Match[str]) -> str:
+        text = found[1].replace("\\|", "|")
+        return f"<code>{SHORT_WORD.sub(_whole, text)}</code>"
+
+    return INLINE_CODE.sub(shown, html)
+
+
+def _whole(word: re.Match[str]) -> str:
+    return f'<span class="word">{word[0]}</span>'

@@ -57,8 +57,18 @@ def test_the_reference_pages_are_those_of_the_code() -> None:
         assert (ROOT / "docs" / name).read_text("utf-8") == text, "write it anew: python docs/make_reference.py"
 
 
+def test_the_site_shows_code_as_it_is_typed() -> None:
+    script = (
+        "import sys; sys.path.insert(0, 'docs'); from site_hooks import on_page_content; "
+        r"print(on_page_content(r'<td><code>k \|x\| --gaps</code></td><pre><span></span><code>a \|</code></pre>'))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    shown = '<td><code>k |x| <span class="word">--gaps</span></code></td><pre><span></span><code>a \\|</code></pre>'
+    assert done.stdout.strip() == shown
+
+
 def test_the_site_has_every_page() -> None:
-    listed = set(re.findall(r"- ([\w/.-]+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M))
+    listed = set(re.findall(r"- (?:Start: )?([\w/.-]+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M))
     assert listed == {str(page.relative_to(ROOT / "docs")) for page in PAGES if "docs" in page.relative_to(ROOT).parts}
 
 

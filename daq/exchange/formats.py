@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from daq.base.console.memory import bounded_memory
-from daq.base.contract.errors import LogError
+from daq.base.contract.errors import ConfigError, LogError
 from daq.rig.units import is_unit
 
 from . import child
@@ -33,7 +33,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
     """The columns of a file, by its ending.
 
     names : of the rig's channels, in its order: a .wav names none. aliases : channel -> its name in the file.
-    Raises LogError for a file that is missing, of an unknown ending, or not what its ending says.
+    Raises LogError for a file that is missing, of an unknown ending, or not what its ending says; ConfigError where a
+    library is not installed.
     """
     reader = READER_OF_SUFFIX.get(path.suffix.lower())
     if reader is None:
@@ -48,7 +49,7 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
             if reader is read_wav or not aliases:
                 return reader(path, names)
             return by_channel(reader(path, [*names, *aliases.values()]), aliases)
-    except (LogError, KeyboardInterrupt):
+    except (LogError, ConfigError, KeyboardInterrupt):
         raise
     except MemoryError as error:
         text = f"reading it takes more than {bound / 1e9:.2g} GB of memory"

@@ -100,7 +100,9 @@ def alarm_problems(
     problems = []
     for k, alarm in enumerate(alarms):
         kind, name, path = alarm.kind, alarm.name, ("alarm", k, "what")
-        if kind in LEVEL_KINDS and name not in channels:
+        if kind in LEVEL_KINDS and not name:
+            problems.append(Problem(path, f'"{alarm.what}": write {kind}.CHANNEL; channels are {", ".join(channels)}'))
+        elif kind in LEVEL_KINDS and name not in channels:
             problems.append(Problem(path, f'"{name}" is no channel; {did_you_mean(name, channels, "there are")}'))
         elif kind == STRIKES_KIND and name not in STRIKE_NAMES:
             problems.append(Problem(path, f'"{name}" is no train; {did_you_mean(name, STRIKE_NAMES)}'))

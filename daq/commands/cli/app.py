@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 # our matrices are small: a threaded BLAS only makes threads wait (diagnose on a busy machine: 4 times)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -39,9 +40,28 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+class _HelpIsASwitch:
+    """Of a command: its help shows no type beside --help, as beside any other switch."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        option: Any = super().get_help_option(ctx)  # type: ignore[misc]
+        if option is not None:
+            option.metavar = ""
+        return option
+
+
+class _Command(_HelpIsASwitch, TyperCommand):
+    pass
+
+
+class _Group(_HelpIsASwitch, TyperGroup):
+    pass
+
+
 def application(only: str = "") -> typer.Typer:
     """All commands, in the order in which --help shows them, or one: to build all takes longer than to run some."""
     app = typer.Typer(
+        cls=_Group,
         help=ABOUT_TEXT,
         epilog=EPILOG_TEXT,
         add_completion=False,
@@ -58,6 +78,8 @@ def application(only: str = "") -> typer.Typer:
 
     for group in (demo, live, trend, analyse, archive, model, files):
         group.register(app)
+    for command in app.registered_commands:
+        command.cls = _Command
     named = [c for c in app.registered_commands if only == (c.name or getattr(c.callback, "__name__", None))]
     app.registered_commands = named or app.registered_commands
     return app

@@ -46,7 +46,7 @@ Every = Annotated[
 MqttOption = Annotated[
     str | None,
     typer.Option(
-        "--mqtt", metavar="URL", help="Publish alarms: mqtt://USER@HOST:PORT/PREFIX (mqtts: with TLS); HOST is enough."
+        "--mqtt", metavar="URL", help="Publish alarms: mqtt://HOST, or mqtt://USER@HOST:PORT/PREFIX (mqtts: with TLS)."
     ),
 ]
 ForOption = Annotated[str | None, typer.Option("--for", metavar="30s", help="How long, of each --every.")]

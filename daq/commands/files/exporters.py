@@ -95,6 +95,7 @@ def export(output: Output, log: Path, to: Path, part: Part = WHOLE_RECORD) -> No
     }
     if recording.from_s is not None:
         value["from_s"] = recording.from_s
+    if recording.from_s:
         output.note(f"{to}: its time 0 is {recording.from_s:.9g} s of {log}")
     seconds = len(table.values) / table.rate_hz
     output.result(value, f"{to}: {seconds:.6g} s of {', '.join(table.names)} at {table.rate_hz:g} Hz")

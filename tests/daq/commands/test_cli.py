@@ -86,6 +86,7 @@ def test_every_command_has_help_and_the_three_options(command: str, capsys: pyte
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
     assert all(option in text for option in ("--json", "--quiet", "--verbose"))
+    assert "<bool>" not in text  # a switch, --help too, takes no value
 
 
 def test_help_imports_nothing_heavy() -> None:

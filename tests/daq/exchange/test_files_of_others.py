@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.base.contract.errors import LogError
+from daq.base.contract.errors import ConfigError, LogError
 from daq.exchange.checks import Record, load
 from daq.rig.rig import Rig
 
@@ -206,6 +207,17 @@ def test_universal_files_with_times_of_their_own(tmp_path: Path, binary: int) ->
     ):
         with pytest.raises(LogError, match=why):
             read(refused)
+
+
+def test_a_universal_file_without_its_library_says_what_to_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.uff"
+    path.write_text("    -1\n")
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with pytest.raises(ConfigError) as refused:
+        read(path)
+    assert str(refused.value) == f"{path}: needs pyuff, which is not installed: pip install 'rotorscope[formats]'"
 
 
 @pytest.mark.promise(

@@ -232,6 +232,8 @@ def test_what_is_doubtful_is_refused(folder: Path, capsys: pytest.CaptureFixture
     )
     np.savez(folder / "few.npz", b1x=y[:, 0], b1Y=y[:, 1], rate_hz=RATE)
     assert 'no channel "b1y" of the rig; did you mean "b1Y"?' in refused(folder, folder / "few.npz", capsys)
+    np.savez(folder / "empty.npz")
+    assert "holds no channel; check that it is whole" in refused(folder, folder / "empty.npz", capsys)
     np.savez(folder / "norate.npz", b1x=y[:, 0], b1y=y[:, 1])
     assert "give --rate HZ" in refused(folder, folder / "norate.npz", capsys)
     assert "--rate says 5000" in refused(folder, write_npz(folder / "a.npz", y), capsys, "--rate", "5000")

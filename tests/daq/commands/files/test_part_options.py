@@ -95,6 +95,8 @@ def test_each_command_takes_the_part(folder: Path, capsys: pytest.CaptureFixture
     value = told(capsys, f"info a.mcap {asked}")
     assert (value["from_s"], value["seconds"], value["channels"]) == (1.0, 2.5, ["b1x"])
     assert value["started"] == "2024-05-01T12:00:01.000000Z"
+    assert run(f"export a.mcap --to b.npz {asked.replace('--to', '--until')}") == 0
+    assert "its time 0 is 1 s of a.mcap" in capsys.readouterr().err
     assert told(capsys, f"export a.mcap --to b.npz {asked.replace('--to', '--until')}")["from_s"] == 1.0
     with np.load("b.npz") as out:
         assert str(out["started"]) == "2024-05-01T12:00:01.000000Z"
@@ -156,6 +158,13 @@ def test_a_part_of_recorded_can_traffic(folder: Path, capsys: pytest.CaptureFixt
     capsys.readouterr()
     assert run("import a.log --rig rig.toml --out b.mcap --from 20") == 2
     assert "is 10 s long" in capsys.readouterr().err
+
+
+def test_an_export_from_the_start_has_the_time_of_the_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log()
+    capsys.readouterr()
+    assert run("export a.mcap --to b.npz --seconds 1") == 0
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.promise(

@@ -135,6 +135,7 @@ def test_strikes_are_an_alarm_if_they_are_seen_more_clearly_than_noise_is_in_a_m
         ('what = "rms.b1x"\nlimit = "C"', "a zone is one of severity.CHANNEL alone"),
         ('what = "strikes.BPFX"', 'did you mean "BPFO"'),
         ('what = "bearing9.x.kL"\nlimit = 1.0', "nothing that is measured"),
+        ('what = "severity"\nlimit = 3.0', "write severity.CHANNEL; channels are "),
         ('what = "missing_force"\nbelow = true\nchange = 1.0', "below needs limit"),
     ],
 )
