@@ -8,7 +8,9 @@ venv=${ROTORSCOPE_VENV:-.venv-test}
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 "$venv/bin/python" -m compileall -q daq drivers estimator  # pip does it for what is not editable; 0.2 s of every command
 export PATH="$PWD/$venv/bin:$PATH"
+pytest -q -n 0 tests/golden -k complete_gap >/dev/null & compiling=$!  # one process compiles what each worker would
 ruff check .
 mypy
 lint-imports
+wait "$compiling" || true  # the suite says what is wrong
 pytest -n 3 --dist loadfile "$@"  # of three workers on two cores one waits for a device or a process

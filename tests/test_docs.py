@@ -119,7 +119,7 @@ def test_the_script_goes_from_a_log_to_a_named_effect(tmp_path: Path) -> None:
     (tmp_path / "known.toml").write_text(known)
     hidden = known.replace('effects = ["cubic"]', 'effects = ["cubic", "coulomb"]')
     (tmp_path / "hidden.toml").write_text(hidden + "\n[model.coulomb]\nfc = 0.07\n")
-    simulate = ["-m", "daq", "simulate", "hidden.toml", "--out", "day1.mcap", "--seconds", "6", "--speed", "max"]
+    simulate = ["-m", "daq", "simulate", "hidden.toml", "--out", "day1.mcap", "--seconds", "4", "--speed", "max"]
     script = [str(ROOT / "docs" / "notebook.py"), "known.toml", "day1.mcap"]
     said = ""
     for arguments in (simulate, script):

@@ -180,7 +180,7 @@ def test_a_device_with_another_range_is_not_read_before_it_says_so(
     _another_in_its_place(layout, epoch, 0.3, how, record_property)
 
 
-@pytest.mark.parametrize("on_s", [30, 1000])
+@pytest.mark.parametrize("on_s", [30, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("layout", ["fd16", "fd24", "serial16", "classic"])
 def test_nor_is_one_with_the_same_start_number_that_has_run_for_longer(
     layout: str, on_s: int, record_property: Callable[[str, object], None]

@@ -14,7 +14,7 @@ from estimator import CATALOGUE, diagnose, fit, simulate
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import EffectUse
 
-SECONDS = 10.0
+SECONDS = 6.0
 SHORT_S = 3.0  # where nothing is measured
 EFFECT = CATALOGUE["stribeck"]
 

@@ -71,7 +71,7 @@ def test_a_force_with_a_peak_is_a_background_and_no_effect(hz: float, quality: f
 def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> None:
     """What noise of that sensor left of the spectrum was held against the colour: "unknown"."""
     rig = replace(one_bearing(), effects=())
-    y = simulate(rig, RATE, 8.0, seed=0, noise=0.0)
+    y = simulate(rig, RATE, 5.0, seed=0, noise=0.0)
     w = 2 * np.pi * 2500.0  # force of gain 4 beside the white one: a power of (5 + u^2) / (1 + u^2)
     coloured = lfilter(*bilinear([1.0, w * np.sqrt(5.0)], [1.0, w], RATE), y[:, 0])
     y = np.stack([coloured, y[:, 1]], axis=1)
@@ -108,7 +108,7 @@ def test_a_law_that_bends_the_spectrum_goes_before_a_background() -> None:
             EffectUse("cross_coupling", {"bearing1": {"k": Setting(k)}}),
         ),
     )
-    whole = fit_all_effects(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
+    whole = fit_all_effects(rig, y := simulate(truth, RATE, 5.0, seed=3, noise=0.0), RATE)
     entries = rank_on_part(whole.model, survey_bearing(whole.model, whole.point, y)[0], quiet).entries
     assert entries[0].effect == "cross_coupling"
 
