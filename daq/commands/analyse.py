@@ -198,6 +198,8 @@ class Pages:
         if html is not None:
             check_installed(REPORT_MODULES, "report", "--html")
             spare(html, ".toml")
+            if html.suffix.lower() not in (".html", ".htm"):
+                raise ConfigError(f"--html {html}: the report is a page of HTML; choose a name that ends in .html")
         if rerun is not None:
             check_installed(("rerun",), "", "--rerun")
             from daq.report.rerun.process import viewer_target

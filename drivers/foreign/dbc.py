@@ -69,7 +69,7 @@ def load_dbc(data: bytes) -> Database:
         database: Any = cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:
         said = " ".join(str(error).split())
-        raise LinkError(f"the DBC file cannot be read: {said}: check link.dbc") from error
+        raise LinkError(f"the DBC file cannot be read: {said}: check that it is one, and whole") from error
     attributes, defaults = (getattr(database.dbc, n, None) or {} for n in ("attributes", "attribute_definitions"))
     default = getattr(defaults.get("ProtocolType"), "default_value", "")  # BA_DEF_DEF_: of a file that does not say it
     protocol = str(getattr(attributes.get("ProtocolType"), "value", default) or "")

@@ -35,9 +35,9 @@ class Part:
     def asked(cls, start: str | None, stop: str | None, seconds: float | None, channels: str | None) -> Part:
         """From the texts of the command line. Raises ConfigError: one line, what is wrong and what to write."""
         if stop is not None and seconds is not None:
-            raise ConfigError("--to and --seconds both say where the part ends: give one of them")
+            raise ConfigError("two ends of the part are said, a time and --seconds: give one of them")
         from_s, from_ns = _time("--from", start)
-        to_s, to_ns = _time("--to", stop)
+        to_s, to_ns = _time("the end", stop)
         names = tuple(dict.fromkeys(name.strip() for name in (channels or "").split(",") if name.strip()))
         if channels is not None and not names:
             raise ConfigError("--channels names none: give names with commas between, such as --channels b1x,b1y")
@@ -45,9 +45,9 @@ class Part:
             raise ConfigError(f"--seconds {seconds:g} is no length; give seconds above 0, or leave it out")
         part = cls(from_s=from_s, to_s=to_s, from_ns=from_ns, to_ns=to_ns, seconds=seconds, channels=names)
         if (from_s is not None and to_s is not None and from_s >= to_s) or (from_ns and to_ns and from_ns >= to_ns):
-            raise ConfigError(f"--from {start} is not before --to {stop}: the part is empty")
+            raise ConfigError(f"--from {start} is not before the end, {stop}: the part is empty")
         if to_s == 0:
-            raise ConfigError("--to 0 is the start of the record: the part is empty")
+            raise ConfigError("the end is the start of the record: the part is empty")
         return part
 
     @property
@@ -69,7 +69,7 @@ class Part:
         Raises ConfigError, naming `where`, if the record has no date, or the part lies before it or is empty.
         """
         if self.dated and started_ns is None:
-            raise ConfigError(f"{where}: says no date; give --from and --to in seconds from its start")
+            raise ConfigError(f"{where}: says no date; give times in seconds from its start")
         begun = started_ns or 0
         start = self.from_s or 0.0
         if self.from_ns is not None:

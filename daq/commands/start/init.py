@@ -87,7 +87,9 @@ def _of_dbc(source: Path, out: Path) -> tuple[str, list[str]]:
     found = list(guesses([own for own, kind in zip(measured, kinds, strict=True) if kind == best]))
     if not found:
         said = ", ".join(f"{n} [{u}]" for n, u in signals[:6])
-        raise ConfigError(f"--from {source}: no signal in a unit of vibration (m/s^2, g, mm/s ...); it has {said}")
+        raise ConfigError(
+            f"--from {source}: no signal in a unit of vibration (m/s^2, g, mm/s ...); it has {said or 'none'}"
+        )
     path = os.path.relpath(source.absolute(), out.absolute().parent)
     new = NewRig(name=out.stem, origin=f"Written by rotorscope init from {source.name}.", channels=found, dbc=path)
     return rig_text(new), _left([name for name, _ in measured], found)

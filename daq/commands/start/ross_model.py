@@ -41,6 +41,8 @@ def rotor(output: Output, source: Path, out: Path) -> None:
     """Write the matrices, and print the tables for the rig file. Raises ConfigError."""
     if out.suffix != ".npz":
         raise ConfigError(f"{out}: the matrices are written as .npz; choose such a name")
+    if source.is_dir():
+        raise ConfigError(f"{source}: is a folder; give the file that ROSS saved in it")
     if not source.is_file():
         raise ConfigError(f"{source}: no such file; save the model in ROSS: rotor.save('{source.stem}.toml')")
     check_installed(("ross",), "ross", f"{source}: a model saved by ROSS")

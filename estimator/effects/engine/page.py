@@ -26,7 +26,7 @@ SCALE_TEXTS = {
 }
 PAGE_HEAD = """# Effects
 
-Written from the catalogue by `python -m estimator.effects.engine.page`; change the file of the effect, not this page.
+<!-- Written from the catalogue by `python -m estimator.effects.engine.page`: change the file of the effect. -->
 
 **Conventions.** All SI. Laws are *restoring* forces on the left-hand side: `M a + C v + K x + sum(laws) = F`. `x, v`
 are displacement and velocity of the cap in one direction, `xo, vo` those of the other direction of the same cap; for

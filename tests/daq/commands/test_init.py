@@ -113,6 +113,7 @@ def test_no_place_is_taken_twice() -> None:
         (["--example", "a", "--from", "b"], 2, "give one of the two"),
         (["--from", "none.csv"], 2, "there is no such file"),
         (["--from", "empty.dbc"], 2, "no signal in a unit of vibration"),
+        (["--from", "bare.dbc"], 2, "no signal in a unit of vibration (m/s^2, g, mm/s ...); it has none"),
         (["--from", "words.csv"], 4, "words.csv"),
         (["--from", "broken.dbc"], 2, "broken.dbc"),
     ],
@@ -122,6 +123,7 @@ def test_mistakes_are_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    Path("bare.dbc").write_text('VERSION ""\nBU_: X\n')
     Path("empty.dbc").write_text(
         'VERSION ""\nBO_ 100 Message: 8 Vector__XXX\n SG_ Speed : 0|16@1+ (1,0) [0|1] "rpm" X\n'
     )

@@ -158,7 +158,7 @@ def test_a_part_of_another_description_keeps_its_own_channels(tmp_path: Path) ->
 
 
 ASKED = [
-    (("5", "3", None, None), "--from 5 is not before --to 3"),
+    (("5", "3", None, None), "--from 5 is not before the end, 3"),
     (("5", "5", None, None), "empty"),
     ((None, "0", None, None), "empty"),
     (("-1", None, None, None), "no time from the start"),
