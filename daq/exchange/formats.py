@@ -37,6 +37,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
     library is not installed.
     """
     reader = READER_OF_SUFFIX.get(path.suffix.lower())
+    if path.suffix.lower() == ".mcap":
+        raise LogError(f"{path}: is a log by its ending: it is read as it is, by fit, diagnose, info and the others")
     if reader is None:
         known = ", ".join([*READER_OF_SUFFIX, ".log, .blf, .asc (CAN, with a DBC)"])
         remedy = REMEDY_OF_SUFFIX.get(path.suffix.lower(), "")

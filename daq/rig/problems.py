@@ -99,6 +99,8 @@ def _text(e: Any, table: type[BaseModel], loc: Path) -> str:
         allowed = re.findall(r"'([^']*)'", e["ctx"]["expected"]) or [e["ctx"]["expected"]]
         near = _nearest(str(given), allowed)
         return f"{_toml(given)} is not one of {', '.join(allowed)}" + (f"; {near}" if near else "")
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return f"{_toml(given)} is not a table"
     if kind == "value_error":
         return str(e["ctx"]["error"])
     if kind == "string_pattern_mismatch":

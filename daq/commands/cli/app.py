@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error.format_message(), file=sys.stderr)  # noqa: T201
             return 2
-        text = error.format_message().rstrip(".").replace("\n", " ")
+        text = error.format_message().rstrip(".").replace("\n", " ").replace("Value error, ", "")
         return _failed(f"{text}; see {command} --help", 2, verbose)
     except (KeyboardInterrupt, typer.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # typer takes it for Ctrl-D at a question, and we ask none

@@ -172,6 +172,18 @@ def test_every_problem_of_a_rig_file_is_a_line(tmp_path: Path, capsys: pytest.Ca
     assert all(line.startswith(f"rotorscope: {bad}:") for line in lines)
 
 
+def test_a_number_where_a_table_is_asked_for_is_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text(f"{PAPER.read_text()}\n[machine]\niso20816 = 3\n")
+    assert main(["check", str(bad)]) == 2
+    assert "machine.iso20816: 3 is not a table\n" in capsys.readouterr().err
+
+
+def test_a_word_that_an_option_does_not_know_is_said_with_those_it_knows(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", "a.mcap", "--rig", str(PAPER), "--method", "moments"]) == 2
+    assert "Invalid value for '--method': 'moments' is not one of 'spectral'" in capsys.readouterr().err
+
+
 # ---- from a simulated rig to everything that can be done with its log
 
 

@@ -183,6 +183,7 @@ def test_an_export_from_the_start_has_the_time_of_the_log(folder: Path, capsys: 
         ("export a.mcap --to b.csv --from 2 --until 1", 2, "--from 2 is not before the end, 1"),
         ("export a.npz --to b.csv", 4, "is no log (.mcap); make one of it: rotorscope import a.npz"),
         ("severity a.mcap --rig rig.toml --html a.pdf", 2, "choose a name that ends in .html"),
+        ("import a.mcap --rig rig.toml --out b.mcap", 4, "a.mcap: is a log by its ending: it is read as it is"),
         ("replay a.mcap --check --to 3", 2, "--check compares the whole log"),
         ("import a.npz a.npz --rig rig.toml --out b.mcap --to 3", 2, "are for one file"),
     ],
