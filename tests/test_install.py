@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import tomllib
@@ -77,6 +78,12 @@ def test_the_wheel_names_files_that_are_there() -> None:
             "rotorscope[formats]",
         ),
         (("distributed",), ["batch", "*.mcap", "--rig", RIG, "--out", "x"], "rotorscope[batch]"),
+        (
+            ("paho", "paho.mqtt.client"),
+            ["run", "alarmed.toml", "--link", "virtual:", "--mqtt", "mqtt://a"],
+            "rotorscope[monitor]",
+        ),
+        (("ross",), ["rotor", "alarmed.toml", "--out", "x.npz"], "rotorscope[ross]"),
         (("prometheus_client",), ["run", RIG, "--link", "virtual:", "--metrics", "0"], "rotorscope[monitor]"),
     ],
 )
@@ -87,11 +94,32 @@ def test_a_missing_library_is_one_line_with_what_to_type(
     monkeypatch.chdir(tmp_path)
     for module in modules:
         monkeypatch.setitem(sys.modules, module, None)
+    if "alarmed.toml" in command:
+        alarm = '\n[[alarm]]\nwhat = "missing_force"\nlimit = 3.0\n'
+        Path("alarmed.toml").write_text(Path(RIG).read_text("utf-8") + alarm, "utf-8")
     assert main(command) == 2
     err = capsys.readouterr().err
     assert f"pip install '{words}'" in err
     assert err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+    assert [p.name for p in tmp_path.iterdir()] == [name for name in command if name == "alarmed.toml"]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "module"), [("mf4", "asammdf"), ("tdms", "nptdms"), ("h5", "h5py"), ("parquet", "pyarrow")]
+)
+def test_a_format_without_its_library_is_one_line_with_what_to_type(
+    suffix: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such files are read in a process of its own: the library is hidden from that by a file of its name."""
+    (tmp_path / f"{module}.py").write_text(f"raise ModuleNotFoundError(name={module!r})\n")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
+    data = tmp_path / f"a.{suffix}"
+    data.write_bytes(b"x")
+    assert main(["import", str(data), "--rig", RIG, "--out", str(tmp_path / "a.mcap")]) == 4
+    err = capsys.readouterr().err
+    assert module in err
+    assert "pip install 'rotorscope[formats]'" in err
+    assert err.count("\n") == 1
 
 
 def test_another_package_of_our_names_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
