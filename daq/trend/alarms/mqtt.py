@@ -47,7 +47,7 @@ class MqttAlarms:
         secure = parts.scheme == "mqtts"
         self._prefix = parts.path.strip("/") or "rotorscope"
         self._target = f"{parts.hostname}:{port or (MQTTS_PORT if secure else MQTT_PORT)}"
-        self._told, self._connected = told, False
+        self._told, self._connected, self._missed = told, False, False
         self._states: dict[str, AlarmState] = {}
         self._lock = threading.Lock()
         self._client: Any = mqtt.Client(
@@ -61,6 +61,7 @@ class MqttAlarms:
         if secure:
             self._client.tls_set()
         self._client.on_connect, self._client.on_disconnect = self._on_connect, self._on_disconnect
+        self._client.on_connect_fail = self._on_connect_fail
         self._client.connect_async(parts.hostname, port or (MQTTS_PORT if secure else MQTT_PORT), KEEPALIVE_S)
         self._client.loop_start()
 
@@ -99,14 +100,21 @@ class MqttAlarms:
         if reason.is_failure:
             self._told(f"MQTT broker {self._target}: {reason}; it is tried again")
             return
-        self._connected = True
+        self._connected, self._missed = True, False
         client.publish(f"{self._prefix}/status", "online", AT_LEAST_ONCE, retain=True)
         with self._lock:
             known = dict(self._states)
         for topic, state in known.items():
             self._publish(topic, state)
 
+    def _on_connect_fail(self, client: Any, data: Any) -> None:
+        """Nothing answers there: said once, until the broker is reached."""
+        if not self._missed:
+            self._told(f"MQTT broker {self._target}: cannot be reached; it is tried again")
+        self._missed = True
+
     def _on_disconnect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if self._connected and reason.is_failure:
             self._told(f"MQTT broker {self._target}: {reason}; it is tried again")
+            self._missed = True
         self._connected = False

@@ -106,11 +106,15 @@ def test_a_broker_that_comes_later_is_told_everything(broker: Broker) -> None:
 
 
 def test_a_broker_that_is_not_there_holds_nothing(broker: Broker) -> None:
-    alarms = MqttAlarms(f"mqtt://127.0.0.1:{broker.port}")
+    said: list[str] = []
+    alarms = MqttAlarms(f"mqtt://127.0.0.1:{broker.port}", said.append)
     alarms.listener("press")(STATE)
+    until(lambda: len(said) > 0)
+    time.sleep(1.5)  # it is tried again after a second
     begin = time.monotonic()
     alarms.close()
     within(time.monotonic() - begin, 2.5)
+    assert said == [f"MQTT broker 127.0.0.1:{broker.port}: cannot be reached; it is tried again"]
 
 
 @pytest.mark.parametrize("url", ["http://a", "mqtt://", "mqtt://a:port", "mqtt://me:secret@a"])
