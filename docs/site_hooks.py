@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 INLINE_CODE = re.compile(r"(?<!<pre>)(?<!</span>)<code>([^<]*)</code>")
-SHORT_WORD = re.compile(r"(?<!\S)(?=\S*[-_/.])\S{2,24}(?!\S)")  # that a line would be broken in
+SHORT_WORD = re.compile(r"(?<!\S)\S{2,24}(?!\S)")  # of which a table may break one in a narrow cell
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./)+[^)]*\)")
 
 

@@ -63,7 +63,8 @@ def test_the_site_shows_code_as_it_is_typed() -> None:
         r"print(on_page_content(r'<td><code>k \|x\| --gaps</code></td><pre><span></span><code>a \|</code></pre>'))"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
-    shown = '<td><code>k |x| <span class="word">--gaps</span></code></td><pre><span></span><code>a \\|</code></pre>'
+    words = '<span class="word">|x|</span> <span class="word">--gaps</span>'
+    shown = f"<td><code>k {words}</code></td><pre><span></span><code>a \\|</code></pre>"
     assert done.stdout.strip() == shown
 
 

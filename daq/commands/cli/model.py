@@ -17,14 +17,17 @@ Nodes = Annotated[
 
 
 def init(
-    out: Annotated[Path, typer.Option("--out", metavar="RIG", help="The rig file to write; nothing is written over.")],
     source: Annotated[
         Path | None,
         typer.Option("--from", metavar="FILE", help="Take the channels from a data file, a log (.mcap) or a .dbc."),
     ] = None,
     example: Annotated[
-        str | None, typer.Option("--example", metavar="NAME", help="Copy a rig file that comes with rotorscope.")
+        str | None,
+        typer.Option("--example", metavar="NAME", help="Copy a rig file that comes with rotorscope; ? lists them."),
     ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="RIG", help="The rig file to write; nothing is written over.")
+    ] = Path("rig.toml"),
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,

@@ -26,12 +26,13 @@ MAX_MOVED_SAMPLES = 0.01  # of the last row, by a rounder rate
 
 def init(output: Output, source: Path | None, name: str | None, out: Path) -> None:
     """Write a rig file of an example, of a file, or of answers. Nothing that is there is written over."""
-    if out.exists():
-        raise ConfigError(f"{out}: is there already, and is not written over; choose another --out")
     if source is not None and name is not None:
         raise ConfigError("--from and --example: give one of the two")
-    if name is not None:
-        text, notes = _of_example(example(name), out)
+    copied = None if name is None else example(name)
+    if out.exists():
+        raise ConfigError(f"{out}: is there already, and is not written over; choose another --out")
+    if copied is not None:
+        text, notes = _of_example(copied, out)
     elif source is not None:
         text, notes = _of_file(output, source, out)
     elif sys.stdin.isatty():

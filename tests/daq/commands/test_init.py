@@ -110,6 +110,7 @@ def test_no_place_is_taken_twice() -> None:
     [
         ([], 2, "give --from FILE (data, log or DBC) or --example NAME (can_accelerometers"),
         (["--example", "one_baering"], 2, 'did you mean "one_bearing"'),
+        (["--example", "?"], 2, "there are can_accelerometers"),
         (["--example", "a", "--from", "b"], 2, "give one of the two"),
         (["--from", "none.csv"], 2, "there is no such file"),
         (["--from", "empty.dbc"], 2, "no signal in a unit of vibration"),
@@ -134,6 +135,12 @@ def test_mistakes_are_one_line(
     assert words in err
     assert err.count("\n") == 1
     assert not Path("new.toml").exists()
+
+
+def test_without_out_the_file_is_rig_toml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "--example", "one_bearing", "--quiet"]) == 0
+    assert main(["check", "rig.toml", "--quiet"]) == 0
 
 
 def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
