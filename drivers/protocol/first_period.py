@@ -13,6 +13,8 @@ LEAST_SAMPLES, LEAST_S = 32, 1.0  # a rate is measured over both, or over
 ENOUGH_S = 2.0  # and a few samples
 FEW_SAMPLES = 8
 MOST_LEARN_S = 10.0  # where samples are lost, or held up; after that the rate that is said is believed
+OUTRUN_RATIO = 1.8  # of arrivals over those at the nominal rate: the device is faster; held-up samples made 1.54
+MEAN_ERROR_REL = 2e-2  # of a rate by the number of arrivals: so many samples may be lost
 MOST_BY_CHANCE = 24.0  # samples lost at random that may look like a slower device
 
 I64Array = NDArray[np.int64]
@@ -41,8 +43,10 @@ def first_period(times: I64Array, nominal_ns: float | None, final: bool, least: 
     by_chance = NOMINAL_REL * seen < short < MOST_BY_CHANCE
     if not final and span_s < MOST_LEARN_S and n < MOST_SAMPLES and (found is None or not found.sure or by_chance):
         return None
-    if nominal_ns is not None and found is not None and not (found.sure and (seen == n or not by_chance)):
-        found = None
+    sure = found is not None and found.sure and (seen == n or not by_chance)
+    if nominal_ns is not None and not sure:
+        outruns = (n - 1) * nominal_ns > OUTRUN_RATIO * 1e9 * span_s > 0.0
+        found = Period(1e9 * span_s / (n - 1), MEAN_ERROR_REL, False, sure=False) if outruns else None
     return _believed(times, found, nominal_ns, even)
 
 

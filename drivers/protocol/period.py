@@ -54,7 +54,8 @@ class Period:
 def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period | None:
     """The period behind these arrivals, in order; None of too few, or of stamps that do not go on.
 
-    nominal_ns : believed where stamps of a coarse resolution fit it and another period as well.
+    nominal_ns : believed where stamps of a coarse resolution fit it and another period as well. Arrivals that lie on a
+    finer lattice, and come no faster than it on the mean, lie on that of the reads of an adapter.
     """
     steps_ns = np.diff(t_ns[:MOST_SAMPLES])
     if len(steps_ns) < LEAST_SAMPLES - 1 or not (steps_ns > 0).any():
@@ -63,6 +64,9 @@ def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period |
     steps = steps_ns.astype(np.float64)
     even = _even(steps, resolution_ns)
     nominal = even is not None and nominal_ns is not None and abs(even.ns / nominal_ns - 1.0) < NOMINAL_REL
+    least_ns = 0.0 if nominal_ns is None else (1.0 - NOMINAL_REL) * nominal_ns
+    if even is not None and even.ns < least_ns <= float(steps.sum() + even.ns) / len(steps):
+        even = None
     if even is None or not (nominal or even.ns > LEAST_CAME_SHARE * float(steps.mean())):
         many = _over_many(_times(steps), resolution_ns)
         straight = None if many is None else _straight(_times(steps), many.ns)
@@ -73,10 +77,13 @@ def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period |
     if (np.abs(ratio - np.rint(ratio)) > ODD_SAMPLES).mean() > TWIN_SHARE:
         # late frames, or pauses that come back, are not whole periods: the mean distance counts them in
         return _regular(_times(steps), even.ns, REGULAR_SAMPLES * even.ns) or even
-    if nominal or resolution_ns < COARSE_REL * even.ns or (np.rint(ratio) > 1).mean() < TWIN_SHARE / 4:
+    coarse, missing_share = resolution_ns >= COARSE_REL * even.ns, float((np.rint(ratio) - 1.0).clip(0.0).mean())
+    few = not coarse and missing_share * len(steps) < 4.0 * max(LEAST_LOSSES, LEAST_REGULAR_SAMPLES * missing_share)
+    if nominal or few or (np.rint(ratio) > 1).mean() < TWIN_SHARE / 4:
         return even
-    # whole multiples of a coarse resolution: losses at random, or a period between two multiples, which is regular
-    return _regular(_times(steps), even.ns, 1.01 * resolution_ns) or even
+    # whole multiples of a resolution, or of the reads of an adapter: losses at random, or a period between two
+    # multiples, which is regular
+    return _regular(_times(steps), even.ns, 1.01 * resolution_ns if coarse else REGULAR_SAMPLES * even.ns) or even
 
 
 def _regular(t_ns: F64Array, period_ns: float, most_ns: float) -> Period | None:

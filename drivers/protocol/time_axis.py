@@ -24,9 +24,11 @@ MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
 FOLLOWED_DRIFT_REL = 2e-4  # once it has been followed for long
 EXACT_DRIFT_REL = 2e-3  # and where each stamp places its sample
 UNEVEN_PARTS = 8  # of the first samples, if some were held up: the most even one shows how late frames usually are
-PIECE_SAMPLES = 256  # between two points by which the period is followed
+PIECE_SAMPLES = 256  # between two points by which the period is followed; or as many as come in
+PIECE_S, LEAST_PIECE_SAMPLES = 1.0, 16
 MOST_PIECE_SAMPLES = 1024  # placed by one line, at most; and no more than drift by
 PIECE_DRIFT_SAMPLES = 0.25
+LOOK_AGAIN_RATIO = 1.05  # of held samples, between two looks: each look costs as much as there are
 FLAT_SAMPLES = 0.4  # by which the earliest arrivals vary where nothing is missing
 MOST_UNSURE_REL = 2e-2  # of the period
 HISTORY_PIECES = 32  # over which the period is followed
@@ -64,6 +66,7 @@ class TimeAxis:
         self.stepped_back = 0  # times the clock went back
         self.leapt = 0  # times that it leapt over days
         self._learn_samples = learn
+        self._next_look = 0.0  # held samples
         self._period_ns = 0.0
         self._held = np.empty(0, np.int64)
         self._hints = np.empty(0, np.int64)
@@ -79,6 +82,7 @@ class TimeAxis:
         self._latest, self._since_even = 0.0, 0
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY_PIECES)
         self._followed = True  # the newest of the history
+        self._of_late_ns, self._of_late_rel = 0.0, 0.0  # the period over the history, and how far that may be off
         self._origin_ns = 0
 
     @property
@@ -93,7 +97,9 @@ class TimeAxis:
         t_ns = self._without_leaps(t_ns)
         self._held = np.concatenate([self._held, t_ns])
         self._hints = np.concatenate([self._hints, np.zeros(len(t_ns), np.int64) if hints is None else hints])
-        if len(self._held) == 0 or (self.rate_hz is None and not self._learn(final)):
+        looks = len(self._held) > 0 and (final or len(self._held) >= self._next_look)
+        self._next_look = LOOK_AGAIN_RATIO * len(self._held) if looks else self._next_look
+        if not looks or (self.rate_hz is None and not self._learn(final)):
             return Placed(np.empty(0, np.int64))
         times = self._held
         passed = (times - self._anchor_ns - self._rest_ns) / self._period_ns
@@ -102,6 +108,7 @@ class TimeAxis:
         placed = self._pieces(lag if known is None else lag - known, known, final)
         sure = len(placed.index)
         self._held, self._hints = times[sure:], self._hints[sure:]
+        self._next_look = LOOK_AGAIN_RATIO * len(self._held)
         return placed
 
     def _without_leaps(self, t_ns: I64Array) -> I64Array:
@@ -224,12 +231,12 @@ class TimeAxis:
             return result, n
         raw = np.maximum.accumulate(np.maximum(raw, level))
         steps = [*np.flatnonzero(np.diff(raw, prepend=level) > 0).tolist(), n]
-        late = min(self._late, *self._even_late)
+        late, even_late = min(self._late, *self._even_late), max(self._late, min(self._even_late))
         for start, stop in zip(steps[:-1], steps[1:], strict=True):
             if start >= whole and not final:
                 return result, start  # a later frame may still catch up
             lasts = (held if stop == n else stop) - start
-            if raw[start] - level > late + 0.5 or lasts >= 2.0 * (late + 1.0):
+            if raw[start] - level > (late if start < whole else even_late) + 0.5 or lasts >= 2.0 * (late + 1.0):
                 level = int(raw[start])
             elif stop == n and not final:
                 return result, start
@@ -302,7 +309,8 @@ class TimeAxis:
     def _remember(self, index: int, passed: float) -> None:
         """Follow the period over the last pieces. index : of the next sample; passed : periods since the anchor."""
         time_ns = (self._anchor_ns - self._origin_ns) + self._rest_ns + passed * self._period_ns
-        if not self._history or index - self._history[-1][0] >= PIECE_SAMPLES:
+        piece = min(PIECE_SAMPLES, max(LEAST_PIECE_SAMPLES, round(PIECE_S * 1e9 / self._period_ns)))
+        if not self._history or index - self._history[-1][0] >= piece:
             self._history.append((index, time_ns))
             self._followed = False
 
@@ -318,21 +326,18 @@ class TimeAxis:
             far = points[half:] - points[: len(points) - half]
             periods = far[:, 1] / far[:, 0]
             period_ns = float(np.median(periods))
+            spread = 3.0 * float(np.median(np.abs(periods - period_ns))) / period_ns
+            self._of_late_ns, self._of_late_rel = period_ns, spread
             if abs(period_ns / self._period_ns - 1.0) < 2.0 * self._unsure_rel:
                 self._period_ns = period_ns
-                spread = 3.0 * float(np.median(np.abs(periods - period_ns))) / period_ns
                 self._unsure_rel = min(self._unsure_rel, max(self._least_unsure_rel, spread))
 
     def drifted(self) -> float | None:
         """The rate of late, if it is no longer that of the axis; None if it is, or too little is known."""
-        if (
-            self.rate_hz is None
-            or len(self._history) < HISTORY_PIECES // 2
-            or self._unsure_rel > max(self._least_unsure_rel, MAX_DRIFT_REL)
-        ):
+        if self.rate_hz is None or len(self._history) < HISTORY_PIECES // 2 or not self._of_late_ns:
             return None
-        rate_hz = 1e9 / self._period_ns
-        return rate_hz if abs(rate_hz / self.rate_hz - 1.0) > NOMINAL_REL else None
+        rate_hz = 1e9 / self._of_late_ns
+        return rate_hz if abs(rate_hz / self.rate_hz - 1.0) > max(NOMINAL_REL, self._of_late_rel) else None
 
 
 def _with_damaged(times: I64Array, hints: I64Array) -> I64Array:

@@ -120,6 +120,55 @@ def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, los
     assert from_s == 0.0 or (off != 0).mean() < (0.2 if lost_share else 0.01)
 
 
+def read_every(sent_s: np.ndarray, read_s: float, jitter_s: float) -> np.ndarray:
+    """(n,) ns at which an adapter that is read every `read_s`, give or take `jitter_s`, hands over what was sent."""
+    late_s = np.random.default_rng(1).exponential(jitter_s, len(sent_s))
+    times_s = np.maximum.accumulate(np.ceil(sent_s / read_s) * read_s + late_s)
+    return np.asarray(np.rint(times_s * 1e9), np.int64)
+
+
+def placed_by_reads(axis: TimeAxis, t_ns: np.ndarray) -> np.ndarray:
+    parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns)) + 1)]
+    return np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+
+
+@pytest.mark.parametrize("rig_file", [True, False])
+@pytest.mark.parametrize(("hz", "read_s"), [(25.0, 0.032), (200.0, 0.004), (400.0, 0.032)])
+def test_reads_of_an_adapter_are_no_faster_device(hz: float, read_s: float, rig_file: bool) -> None:
+    """25 Hz read every 32 ms passed for 31.25 Hz with a fifth lost; and a last frame alone in its read for a loss."""
+    sent_s = np.arange(round(40 * hz)) / hz
+    axis = TimeAxis(hz if rig_file else None, learn=2000)
+    index = placed_by_reads(axis, read_every(sent_s, read_s, 1e-4))
+    assert axis.rate_hz == pytest.approx(hz, rel=2e-3)
+    np.testing.assert_array_equal(index, np.arange(len(sent_s)))
+
+
+def test_a_device_at_twice_its_rate_is_seen_whatever_was_lost_or_held_up() -> None:
+    """It was counted at the rate of the rig file, silently: a record of twice the length."""
+    rng, sent_s = np.random.default_rng(0), np.arange(60_000) / 2000.0
+    sent_s = sent_s[rng.random(len(sent_s)) > 0.01]
+    stall_s = np.cumsum(rng.exponential(2.0, 30))
+    for begin_s in stall_s.tolist():
+        held = (sent_s > begin_s) & (sent_s < begin_s + 0.2)
+        sent_s[held] = begin_s + 0.2
+    axis = TimeAxis(1000.0)
+    placed_by_reads(axis, read_every(np.maximum.accumulate(sent_s), 0.001, 1e-4))
+    assert axis.rate_hz == pytest.approx(2000.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("hz", "seconds"), [(25.0, 60.0), (1000.0, 30.0)])
+def test_a_rate_that_could_not_be_measured_at_first_is_told_later(hz: float, seconds: float) -> None:
+    sent_s = np.arange(round(seconds * hz)) / (1.024 * hz)
+    rng = np.random.default_rng(0)
+    for begin_s in np.cumsum(rng.exponential(0.5, 20)).tolist():
+        held = (sent_s > begin_s) & (sent_s < begin_s + 0.3)
+        sent_s[held] = begin_s + 0.3
+    axis = TimeAxis(hz)
+    placed_by_reads(axis, read_every(np.maximum.accumulate(sent_s), 0.016, 2e-3))
+    found = axis.rate_hz if axis.rate_hz != hz else axis.drifted()
+    assert found == pytest.approx(1.024 * hz, rel=5e-3)
+
+
 @pytest.mark.parametrize("hz", [400.0, 1000.0])
 def test_losses_at_random_among_uneven_stamps_are_no_slower_device(hz: float) -> None:
     """With 2 % lost and reads every 4 ms the rate was taken 2 % too low, and no loss was told."""
