@@ -142,8 +142,8 @@ class MappedDecoder:
         return self._place(t_host_ns, final)
 
     def finish(self, t_host_ns: int) -> list[Reading]:
-        """What waits for a second in which frames come evenly, once the rate is known: nothing follows."""
-        if not self.learned or self._axis.rate_hz is None:
+        """What waits for a second in which frames come evenly, at the rate of the rig file if none was measured."""
+        if not self.learned or (self._axis.rate_hz is None and self._nominal_hz is None):
             return list(self.notices.take())
         return self.feed(CanFrames.build([]), t_host_ns, final=True)
 

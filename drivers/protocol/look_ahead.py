@@ -47,7 +47,8 @@ def even_ends(
     most = start + MOST_LOOK_AHEADS * ahead
     settled = ends <= most
     if final and held_up[-1] + ahead >= len(lag):
-        settled[held_up[breaks[-2] + 1 if len(breaks) > 1 else 0] :] = False
+        first = int(held_up[breaks[-2] + 1 if len(breaks) > 1 else 0])
+        settled[max(0, first - round(2.0 * (usual + HELD_UP_SAMPLES))) :] = False  # those just before may be late, too
     return np.minimum(ends, most), settled
 
 

@@ -15,7 +15,7 @@ from ramp_device import Record, read_until
 from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.contract.errors import LinkError
 from drivers.contract.link_config import CanConfig
-from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Reading
 from drivers.foreign.mapped import MappedDecoder
 from drivers.foreign.signal_plan import Bits, compile_plan
 from drivers.links.links import make_driver
@@ -447,10 +447,10 @@ def test_what_was_held_comes_with_the_first_read_after_the_close() -> None:
     driver.open()
     sender = can.Bus("held", interface="virtual", preserve_timestamps=True)
     for k in range(900):
-        at_s = k / 200 if k < 600 else 4.5 + k * 1e-6
+        at_s = k / 200 if k < 598 else 3.02 + k * 1e-6 if k < 600 else 4.5 + k * 1e-6
         data = struct.pack("<3h", k, 0, 0)
         sender.send(can.Message(arbitration_id=0x04FF0319, data=data, timestamp=1000 + at_s))
-    record = read_until(driver, Record(ramp=False), lambda r: r.samples >= 600)
+    record = read_until(driver, Record(ramp=False), lambda r: r.samples >= 590)
     assert driver.read(0.2) == []
     driver.close()
     record.take(driver.read(0.0))
@@ -458,6 +458,22 @@ def test_what_was_held_comes_with_the_first_read_after_the_close() -> None:
     sender.shutdown()
     assert record.samples == 900
     assert not record.gaps
+
+
+@pytest.mark.parametrize("hz", [100.0, None])
+def test_at_a_stop_before_the_rate_is_measured_that_of_the_rig_file_is_taken(hz: float | None) -> None:
+    """Reads at random for five seconds: all samples were lost at the stop."""
+    decoder = MappedDecoder(LinkStats(), DBC, {"x": "ACS.Lateral"}, None if hz is None else Expected(hz))
+    frame = (0x08F02D0B | EXTENDED_FLAG, struct.pack("<4H", 32000, 32000, 32000, 0xFFFF))
+    reads_s = np.cumsum(np.random.default_rng(0).exponential(0.3, 40))
+    out: list[Reading] = []
+    for k in range(500):
+        at_ns = round(reads_s[np.searchsorted(reads_s, k / 100)] * 1e9)
+        out += decoder.feed(CanFrames.build([(*frame, at_ns)]), at_ns)
+    assert not any(isinstance(r, Block) for r in out)
+    held = decoder.finish(at_ns)
+    assert sum(len(r.counts) for r in held if isinstance(r, Block)) == (0 if hz is None else 500)
+    assert {r.rate_hz for r in held if isinstance(r, Info)} <= {hz}
 
 
 @pytest.mark.promise(
