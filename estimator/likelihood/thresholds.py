@@ -140,6 +140,8 @@ class Thresholds:
     # whitening/line_leakage
     max_lines: int = 8  # projected out; every line costs two products with each series
     min_leakage_bins: float = 0.3  # power that leaks out of the bins left out, over the noise in one bin
+    # of noise from an edge of the band, over the PSD there: S is off by a quarter of it or less
+    max_noise_leakage_rel: float = 0.02
     # of the cotangent at f0 and at -f0; beyond them a wander of 0.1 % is lost in noise
     line_powers: tuple[int, int] = 3, 2
     disc_powers: tuple[int, int] = 2, 1  # of a disc, which only decays

@@ -1,10 +1,11 @@
-"""Leakage of narrow lines between blocks, projected out of the block spectra.
+"""Leakage of narrow lines, and of noise at an edge of the band, projected out of the block spectra.
 
 A disc rings for seconds on its shaft, a tone for ever, and a block lasts a third of a second. The part of the residual
 force that goes with them ends at both ends of every block. That spreads it over all bins. The Fourier sum over a block
 of a sampled line of constant amplitude at f0 has the shape 1 + i cot(pi (f - f0) / rate), and that of its conjugate the
 shape at -f0. Higher powers of the cotangent come in where the line grows, decays or wanders. The shapes are projected
-out of every series alike, and the lost share of each bin is counted.
+out of every series alike, and the lost share of each bin is counted. Noise that is strong beside one edge of the band
+leaks in the shapes of a line there.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.thresholds import LIMITS
+from estimator.signals.band_limit import passband
 
 
 @dataclass(frozen=True, slots=True)
 class Leakage:
-    """Shapes of the leakage of narrow lines.
+    """Shapes of the leakage of narrow lines and of noise at an edge of the band.
 
     shapes : (places, bins, k) orthonormal, of whitened spectra. kept : (places, bins) share of each bin that remains.
     """
@@ -38,7 +40,7 @@ class Leakage:
 
 
 def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage | None:
-    """The shapes; None where no disc resonates in the band and no line is strong.
+    """The shapes; None where no disc resonates in the band, no line is strong and no noise leaks.
 
     weights : (places, bins) of the spectra.
     """
@@ -46,16 +48,19 @@ def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage |
     for f0 in () if data.rotor is None else data.rotor.resonances_hz:
         if data.band[0] < f0 < data.band[1]:
             forms += _forms(data, f0, LIMITS.disc_powers)  # the notch of the shaft leaves it out
-    if not forms:
+    edges = [leaking_edge(data, 1.0 / np.square(own, dtype=np.float64)) for own in weights]
+    if not forms and not any(edges):
         return None
-    forms.append(np.ones(data.f_hz.size))
-    columns = np.stack(forms, axis=1) / np.linalg.norm(forms, axis=1)
-    shapes, kept = [], []
-    for own in weights:
-        Q, _ = np.linalg.qr(own[:, None] * columns)
-        kept.append(1.0 - np.sum(Q**2, axis=1))
-        shapes.append(Q)
-    return Leakage(np.array(shapes, np.float32), np.array(kept))
+    shapes = np.zeros((len(weights), data.f_hz.size, len(forms) + sum(LIMITS.line_powers) + 1), np.float32)
+    kept = np.ones(weights.shape)
+    for i, (own, edge) in enumerate(zip(weights, edges, strict=True)):
+        columns = [*forms, *(_forms(data, edge, LIMITS.line_powers) if edge else ())]
+        if columns:
+            columns.append(np.ones(data.f_hz.size))
+            Q, _ = np.linalg.qr(own[:, None] * (np.stack(columns, axis=1) / np.linalg.norm(columns, axis=1)))
+            kept[i] -= np.sum(Q**2, axis=1)
+            shapes[i, :, : Q.shape[1]] = Q
+    return Leakage(shapes[:, :, shapes.any(axis=(0, 1))], kept)
 
 
 def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array]:
@@ -77,3 +82,22 @@ def leaking_lines(data: MotionRecord) -> list[float]:
         if power > LIMITS.min_leakage_bins and not np.any(np.abs(data.f_hz - line.centre_hz) < 0.5 / seconds):
             leaks.append((power, line.centre_hz))
     return [hz for _, hz in sorted(leaks, reverse=True)[: LIMITS.max_lines]]
+
+
+def leaking_edge(data: MotionRecord, psd: Array) -> float | None:
+    """The frequency beside which so much noise lies that it leaks into all of the band, Hz; None where none does.
+
+    Acceleration that is integrated has noise at the lower edge that is thousands of times that amid the band,
+    displacement that is differentiated at the upper edge. The covariance of a block of T s falls as 1 - lag / T.
+
+    psd : (bins,) expected PSD of the residual force, to a factor.
+    """
+    from scipy.fft import irfft, rfft
+
+    f: Array = np.asarray(np.fft.rfftfreq(data.block, 1.0 / data.rate_hz), np.float64)
+    lag = np.arange(data.block)
+    full = np.interp(f, data.f_hz, psd) * passband(f, data.rate_hz, data.band) ** 2
+    seen = rfft(irfft(full, data.block) * (1.0 - np.minimum(lag, data.block - lag) / data.block)).real[data.bins]
+    if np.max(seen / psd) < 1.0 + LIMITS.max_noise_leakage_rel:
+        return None
+    return float(f[np.argmax(full)] - 0.5 * data.rate_hz / data.block)  # between two bins
