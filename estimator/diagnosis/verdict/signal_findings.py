@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -124,22 +124,28 @@ def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> E
 
 
 def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
-    """Imbalance or misalignment, where the first two harmonics of the shaft dominate a vibration that is too large."""
-    best: tuple[float, str, float] | None = None
+    """Imbalance or misalignment, where the first two harmonics of the shaft dominate a vibration that is too large.
+
+    The bearings are those where it is too large, the largest vibration first: it does not show where the cause is.
+    """
+    first, second = (_harmonic(machine, k) for k in (1, 2))
+    found: list[tuple[float, float, str]] = []
     for channel in model.channels:
-        first, second = (_harmonic(machine, k) for k in (1, 2))
         v1, v2 = (0.0 if tone is None else velocity_rms(tone, channel.name) for tone in (first, second))
         v = float(np.hypot(v1, v2))
         summary = record.channels.get(channel.name)
         whole = None if summary is None else summary.velocity_rms_mm_s
         dominant = whole is None or v**2 >= MACHINE_THRESHOLDS.min_dominance * (1e-3 * whole) ** 2
-        if v >= MACHINE_THRESHOLDS.min_velocity_m_s and dominant and (best is None or v > best[0]):
-            ratio = v2 / v1 if v1 else np.inf
-            name = MISALIGNMENT.name if ratio >= MACHINE_THRESHOLDS.min_second_harmonic_ratio else IMBALANCE.name
-            p = min(tone.p_value for tone in (first, second) if tone is not None)
-            best = v, channel.name, p
-            entry = _entry(name, _place(model, channel.name), p, {})
-    return [] if best is None else [entry]
+        if v >= MACHINE_THRESHOLDS.min_velocity_m_s and dominant:
+            found.append((v, v2 / v1 if v1 else np.inf, _place(model, channel.name)))
+    if not found:
+        return []
+    found.sort(key=lambda one: -one[0])
+    _, ratio, place = found[0]
+    name = MISALIGNMENT.name if ratio >= MACHINE_THRESHOLDS.min_second_harmonic_ratio else IMBALANCE.name
+    p = min(tone.p_value for tone in (first, second) if tone is not None)
+    nodes = dict.fromkeys(place.split(".")[0] for _, _, place in found)
+    return [replace(_entry(name, place, p, {}), at=tuple(nodes))]
 
 
 def line_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:

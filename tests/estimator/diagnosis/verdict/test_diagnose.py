@@ -165,6 +165,16 @@ def test_harmonics_of_the_shaft_are_a_fault_where_they_are_large_and_dominate(
     assert verdict(NOT, tones=tones).verdict == expected
 
 
+def test_harmonics_of_the_shaft_are_named_at_every_bearing_where_they_are_too_large() -> None:
+    """The larger vibration does not show which bearing the cause is at."""
+    both = replace(ONE_CAP_RIG, channels=(Channel("b1x", "bearing1", "x"), Channel("b2x", "bearing2", "x")))
+    large = tone(1.0, 5.0)
+    for factor, at in ((2.0, ("bearing2", "bearing1")), (0.5, ("bearing1",))):
+        shown = replace(large, amplitude=large.amplitude | {"b2x": factor * large.amplitude["b1x"]})
+        found = verdict(NOT, tones=(shown, tone(2.0, 6.0)), model=both)
+        assert found.ranking[0].at == at
+
+
 def test_a_line_that_holds_much_of_a_channel_is_named_only_where_no_model_explains_the_record() -> None:
     hum = tone(3.34, 1.0, "mains")
     assert verdict(NOT, tones=(hum,), rms=1.0).verdict == "line"
