@@ -12,10 +12,10 @@ from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.residual.strong_law import strong_law_message
-from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
+from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
 
@@ -44,7 +44,7 @@ class BearingSurvey:
     def explained(self) -> bool:
         """Whether nothing missing is found: no force, or a negligible one, or one that may be zero."""
         value, low, _ = self.missing.interval()
-        least = 100 * RESIDUAL_LIMITS.negligible_force_share
+        least = 100 * missing_force.negligible_force_share(self.part.data)
         return not self.missing.any_found() or value < least or low <= 0.0
 
     @cached_property
@@ -72,10 +72,13 @@ class BearingSurvey:
         if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
-        seconds = self.part.data.seconds
-        if self.part.data.background is not None and seconds < LIMITS.min_seconds_beside_modes:
-            text = f"no missing force is found, but beside structural modes {seconds:.0f} s do not show every effect"
-            return Message(NOT_CONCLUSIVE, f"{text}; record half a minute or more")
+        data = self.part.data
+        asked_s = max(LIMITS.min_seconds_beside_modes, LIKELIHOOD_LIMITS.min_samples / data.rate_hz)
+        if data.background is not None and data.seconds < asked_s:
+            text = (
+                f"no missing force is found, but beside structural modes {data.seconds:.0f} s do not show every effect"
+            )
+            return Message(NOT_CONCLUSIVE, f"{text}; record {2.0 * asked_s:.0f} s or more")
         return None
 
     @property

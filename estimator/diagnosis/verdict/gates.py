@@ -17,7 +17,7 @@ from estimator.diagnosis.hypotheses import gate_amplitude, ranking
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.identification.residual.thresholds import LIMITS as RESIDUAL_LIMITS
+from estimator.identification.residual.missing_force import negligible_force_share
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -68,8 +68,8 @@ def significant(entry: Entry, context: Context) -> GateResult:
 
 
 def large_enough(entry: Entry, context: Context) -> GateResult:
-    """The force is larger than the errors of a simulation or a filter."""
-    least = 100 * RESIDUAL_LIMITS.negligible_force_share
+    """The force is larger than the errors of a simulation or a filter, beside structural modes than theirs."""
+    least = 100 * negligible_force_share(context.point.data)
     force, text = entry.explained_percent, "force, % of the bearing force"
     return GateResult(gate="large enough", passed=force >= least, measured=force, limit=least, text=text)
 

@@ -21,6 +21,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects.places import kinematic
 from estimator.identification.finding import DisturbanceForce, Finding, disturbance_forces, is_cause_of_spectrum
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
@@ -148,9 +149,15 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
     )
 
 
+def negligible_force_share(data: MotionRecord) -> float:
+    """Share of the rms bearing force below which no force is claimed."""
+    beside_modes = data.background is not None
+    return LIMITS.negligible_force_share_beside_modes if beside_modes else LIMITS.negligible_force_share
+
+
 def _negligible_power(point: WorkingPoint, i: int) -> float:
     """Mean square, N^2, of a force at location i that errors of the processing, or of a background, may be."""
-    least = (LIMITS.negligible_force_share * point.bearing_force[i]) ** 2
+    least = (negligible_force_share(point.data) * point.bearing_force[i]) ** 2
     if point.data.background is None:
         return float(least)
     width_hz = point.data.bins.size * point.data.rate_hz / point.data.block

@@ -55,7 +55,8 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
     if data.blocks * data.block < LIMITS.min_samples:
-        text = "an effect may be present and not visible; record half a minute or more"
+        asked_s = max(30.0, 2.0 * LIMITS.min_samples / data.rate_hz)
+        text = f"an effect may be present and not visible; record {asked_s:.0f} s or more"
         return (Message("record_short", f"only {used:.2g} s of the record are usable: {text}"),)
     kept = MAX_SAMPLES / len(data.places) / data.rate_hz
     if whole <= 1.25 * kept or used < 0.9 * kept:
