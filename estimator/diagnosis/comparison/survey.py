@@ -34,11 +34,14 @@ class BearingSurvey:
         The force that can still be predicted there.
     findings : tuple of Finding
         Tones, spectra and faults of sensors, strongest first.
+    speed_lacks : bool
+        Whether the geometry of the bearing is given and the speed of the shaft is unknown.
     """
 
     part: WorkingPoint
     missing: MissingForce
     findings: tuple[Finding, ...]
+    speed_lacks: bool = False
 
     @property
     def explained(self) -> bool:
@@ -59,7 +62,7 @@ class BearingSurvey:
         A law is too strong for the fit, or none is found to be missing and one could hide.
 
         Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
-        the bearing open, and in a short record.
+        the bearing open, and in a short record. Without a speed no law of the shaft's angle is on trial.
         """
         if self.too_strong is not None or not self.explained:
             return self.too_strong
@@ -72,13 +75,16 @@ class BearingSurvey:
         if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
+        if self.speed_lacks:
+            text = "no missing force is found, but what turns with the shaft is not looked for, as its speed is unknown"
+            return Message(NOT_CONCLUSIVE, f"{text}: give speed_rpm or a tacho channel")
         data = self.part.data
         asked_s = max(LIMITS.min_seconds_beside_modes, LIKELIHOOD_LIMITS.min_samples / data.rate_hz)
         if data.background is not None and data.seconds < asked_s:
-            text = (
-                f"no missing force is found, but beside structural modes {data.seconds:.0f} s do not show every effect"
+            text = f"beside structural modes {data.seconds:.0f} s do not show every effect"
+            return Message(
+                NOT_CONCLUSIVE, f"no missing force is found, but {text}; record {2.0 * asked_s:.0f} s or more"
             )
-            return Message(NOT_CONCLUSIVE, f"{text}; record {2.0 * asked_s:.0f} s or more")
         return None
 
     @property
@@ -106,4 +112,5 @@ def survey_bearing(
     return_freed_memory(y)
     part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
     found, findings, *answers = missing_force.survey_with(part, model, lambda: search(model, point, y), *more)
-    return BearingSurvey(part=part, missing=found, findings=tuple(findings)), *answers
+    lacks = model.bearing is not None and not point.data.speed
+    return BearingSurvey(part=part, missing=found, findings=tuple(findings), speed_lacks=lacks), *answers

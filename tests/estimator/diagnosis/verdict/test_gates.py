@@ -28,6 +28,7 @@ from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.model import BearingGeometry
 from estimator.model.background import Background
 from estimator.model.rig import Model
 from estimator.results import Parameter
@@ -108,6 +109,16 @@ def test_beside_structural_modes_a_record_is_long_in_seconds_and_in_samples(cont
         assert (slow.blocks * slow.block >= 2**16) is conclusive
         survey = replace(record.survey, part=replace(part, data=slow))
         assert (survey.inconclusive is None) is conclusive
+
+
+def test_without_a_speed_nothing_is_complete_where_a_bearing_turns() -> None:
+    """A ball pass of 5.6 % of the bearing force was "complete": no law of the shaft's angle was on trial."""
+    for speed_rpm, conclusive in ((1800.0, True), (None, False)):
+        model = replace(rig(), bearing=BearingGeometry(9, 7.94e-3, 39.04e-3), speed_rpm=speed_rpm)
+        y = simulate(rig(), RATE, 3.0, seed=5, noise=0.02)
+        fitted = fit_all_effects(model, y, RATE)
+        (survey,) = survey_bearing(fitted.model, fitted.point, y)
+        assert (survey.inconclusive is None) is survey.adequate is conclusive
 
 
 def test_what_no_machine_can_have_is_no_candidate(context: Context) -> None:
