@@ -105,13 +105,13 @@ def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -
     """rms left over rms before, in the state where a law explains most, and its lower 95 % limit.
 
     0 if the law has the right shape. States that it does not touch belong to something else that is missing too. Where
-    no state shows a missing force, the law leaves all.
+    no state shows a missing force, or more force is missing with the law, it leaves all.
     """
     was, rest = _power_by_state(before, entry), _power_by_state(after, entry)
-    if not was:
+    sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in after.residuals if r.place in entry.places)))
+    if not was or sum(rest.values()) - THRESHOLDS.normal_95 * sd > sum(was.values()):
         return 1.0, 1.0
     state = max(was, key=lambda group: was[group] - rest.get(group, 0.0))
-    sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in after.residuals if r.place in entry.places)))
     powers = np.array([rest.get(state, 0.0), rest.get(state, 0.0) - THRESHOLDS.normal_95 * sd])
     left, least = np.sqrt(np.clip(powers / was[state], 0.0, 1.0)) if was[state] > 0 else (0.0, 0.0)
     return float(left), float(least)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -23,9 +25,10 @@ from estimator.diagnosis.verdict.gates import (
     significant,
     told_from_zero,
 )
-from estimator.diagnosis.verdict.joint_fit import JointFit
+from estimator.diagnosis.verdict.joint_fit import JointFit, left_of_own_state
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model import BearingGeometry
@@ -119,6 +122,19 @@ def test_without_a_speed_nothing_is_complete_where_a_bearing_turns() -> None:
         fitted = fit_all_effects(model, y, RATE)
         (survey,) = survey_bearing(fitted.model, fitted.point, y)
         assert (survey.inconclusive is None) is survey.adequate is conclusive
+
+
+def test_a_law_with_which_more_force_is_missing_leaves_all_of_it() -> None:
+    """A quadratic damping took 2 % of a velocity, left 37 % of the displacement, and was named."""
+
+    def missing(**by_state: float) -> MissingForce:
+        found = [SimpleNamespace(group=group, power_N2=power) for group, power in by_state.items()]
+        return cast(MissingForce, SimpleNamespace(residuals=(SimpleNamespace(place=0, power_sd_N2=0.01, found=found),)))
+
+    before = missing(velocity=4.0, displacement=1.0)
+    assert left_of_own_state(before, missing(), entry()) == (0.0, 0.0)
+    assert left_of_own_state(before, missing(displacement=3.0), entry())[0] == 0.0, "something else is missing too"
+    assert left_of_own_state(before, missing(displacement=1400.0), entry()) == (1.0, 1.0)
 
 
 def test_what_no_machine_can_have_is_no_candidate(context: Context) -> None:
