@@ -127,10 +127,10 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
         if {k.strip().lower() for k in held} & FRAME_TITLES[0] and {k.lower()[:2] for k in held} & FRAME_TITLES[1]:
             text = "a table of CAN frames; export it as .asc, .blf or candump .log, from which a DBC takes the signals"
             raise LogError(f"{path}: {text}")
-        remedy = did_you_mean(name, held, "it has")
-        say = "; alias = of a channel in the rig file says what a file calls it"
         if not held:
             raise LogError(f"{path}: holds no channel; check that it is whole, and how it was written")
+        remedy = did_you_mean(name, held, "it has")
+        say = "; alias = of a channel in the rig file says what a file calls it"
         raise LogError(f'{path}: has no channel "{name}" of the rig; {remedy}{say}')
     value = np.squeeze(np.asarray(columns.values[name]))
     if value.ndim != 1:

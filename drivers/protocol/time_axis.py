@@ -66,7 +66,7 @@ class TimeAxis:
         self.stepped_back = 0  # times the clock went back
         self.leapt = 0  # times that it leapt over days
         self._learn_samples = learn
-        self._next_look = 0.0  # held samples
+        self._next_look = 0.0  # held samples from which on they are looked at again
         self._period_ns = 0.0
         self._held = np.empty(0, np.int64)
         self._hints = np.empty(0, np.int64)
@@ -97,9 +97,10 @@ class TimeAxis:
         t_ns = self._without_leaps(t_ns)
         self._held = np.concatenate([self._held, t_ns])
         self._hints = np.concatenate([self._hints, np.zeros(len(t_ns), np.int64) if hints is None else hints])
-        looks = len(self._held) > 0 and (final or len(self._held) >= self._next_look)
-        self._next_look = LOOK_AGAIN_RATIO * len(self._held) if looks else self._next_look
-        if not looks or (self.rate_hz is None and not self._learn(final)):
+        if len(self._held) == 0 or (len(self._held) < self._next_look and not final):
+            return Placed(np.empty(0, np.int64))
+        self._next_look = LOOK_AGAIN_RATIO * len(self._held)
+        if self.rate_hz is None and not self._learn(final):
             return Placed(np.empty(0, np.int64))
         times = self._held
         passed = (times - self._anchor_ns - self._rest_ns) / self._period_ns

@@ -11,9 +11,9 @@ import pytest
 from .make import RESULTS, answers, differences
 from .records import RECORDS, GoldenRecord
 
-CHEAP = {"complete_gap", "quadratic"}  # a second or two of improve: in the fast suite
+IMPROVED_RECORDS = {"complete_gap", "quadratic"}  # a second or two of improve: in the fast suite
 # one of each kind: complete, with a gap, with the disc in the band, with a measured force
-FITTED = {"complete", "complete_gap", "complete_disc_in_band", "quadratic_measured_force"}
+FITTED_RECORDS = {"complete", "complete_gap", "complete_disc_in_band", "quadratic_measured_force"}
 
 
 def stored(record: GoldenRecord) -> dict[str, Any]:
@@ -34,28 +34,30 @@ def assert_as_stored(record: GoldenRecord, commands: Sequence[str]) -> None:
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record.name)
 def test_diagnose_answers_what_is_stored(record: GoldenRecord) -> None:
-    """It fits and surveys each record, so a change of either shows here."""
+    """A diagnosis fits and surveys each record, so a change of either shows here."""
     assert_as_stored(record, ("diagnose",))
 
 
-@pytest.mark.parametrize("record", [r for r in RECORDS if r.name in FITTED], ids=lambda record: record.name)
+@pytest.mark.parametrize("record", [r for r in RECORDS if r.name in FITTED_RECORDS], ids=lambda record: record.name)
 def test_fit_and_compare_answer_what_is_stored(record: GoldenRecord) -> None:
     assert_as_stored(record, ("fit", "compare"))
 
 
 @pytest.mark.slow  # half a minute; those above are of the same kinds
-@pytest.mark.parametrize("record", [r for r in RECORDS if r.name not in FITTED], ids=lambda record: record.name)
+@pytest.mark.parametrize("record", [r for r in RECORDS if r.name not in FITTED_RECORDS], ids=lambda record: record.name)
 def test_fit_and_compare_of_the_other_records_answer_what_is_stored(record: GoldenRecord) -> None:
     assert_as_stored(record, ("fit", "compare"))
 
 
-@pytest.mark.parametrize("record", [r for r in RECORDS if r.name in CHEAP], ids=lambda record: record.name)
+@pytest.mark.parametrize("record", [r for r in RECORDS if r.name in IMPROVED_RECORDS], ids=lambda record: record.name)
 def test_improve_answers_what_is_stored(record: GoldenRecord) -> None:
     assert_as_stored(record, ("improve",))
 
 
 @pytest.mark.slow  # a minute; the two above are of the same kinds: a complete rig and a hidden effect
-@pytest.mark.parametrize("record", [r for r in RECORDS if r.name not in CHEAP], ids=lambda record: record.name)
+@pytest.mark.parametrize(
+    "record", [r for r in RECORDS if r.name not in IMPROVED_RECORDS], ids=lambda record: record.name
+)
 def test_improve_of_the_other_records_answers_what_is_stored(record: GoldenRecord) -> None:
     assert_as_stored(record, ("improve",))
 

@@ -80,6 +80,20 @@ def test_what_a_host_that_stood_still_reads_at_once_shifts_nothing(longest_s: fl
     assert axis.drifted() is None
 
 
+def placed_by_reads(axis: TimeAxis, t_ns: np.ndarray, every_ns: int = 1) -> np.ndarray:
+    """(n,) indices of samples that arrive at `t_ns`, placed read by read, of `every_ns` each."""
+    parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns // every_ns)) + 1)]
+    return np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+
+
+def held_up(sent_s: np.ndarray, begins_s: np.ndarray, stall_s: float) -> np.ndarray:
+    """(n,) s at which samples come where nothing comes for `stall_s` from each of `begins_s` on."""
+    come_s = sent_s.copy()
+    for begin_s in begins_s.tolist():
+        come_s[(come_s > begin_s) & (come_s < begin_s + stall_s)] = begin_s + stall_s
+    return np.maximum.accumulate(come_s)
+
+
 def starved(sent_s: np.ndarray, rng: np.random.Generator, from_s: float, off_s: float, on_s: float) -> np.ndarray:
     """When frames are read by a host that has for some seconds, again and again, only moments for it."""
     read_s, now_s = sent_s.copy(), from_s
@@ -112,8 +126,7 @@ def test_a_starved_host_shifts_nothing(hz: float, off_s: float, on_s: float, los
     even_s = np.append(read_s, read_s[-1] + np.arange(1, 400) / hz)  # until it has time again
     kept = np.append(kept, round((read_s[-1] - sent_s[kept[-1]]) * hz) + kept[-1] + np.arange(1, 400))
     axis, t_ns = TimeAxis(hz), np.rint(even_s * 1e9).astype(np.int64)
-    parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns // 200_000_000)) + 1)]
-    index = np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
+    index = placed_by_reads(axis, t_ns, every_ns=200_000_000)
     off = index - kept - (index[0] - kept[0])
     assert axis.rate_hz == hz
     assert abs(off[-1]) <= 1  # of a loss before it first had time, nothing tells
@@ -125,11 +138,6 @@ def read_every(sent_s: np.ndarray, read_s: float, jitter_s: float) -> np.ndarray
     late_s = np.random.default_rng(1).exponential(jitter_s, len(sent_s))
     times_s = np.maximum.accumulate(np.ceil(sent_s / read_s) * read_s + late_s)
     return np.asarray(np.rint(times_s * 1e9), np.int64)
-
-
-def placed_by_reads(axis: TimeAxis, t_ns: np.ndarray) -> np.ndarray:
-    parts = [axis.place(part).index for part in np.split(t_ns, np.flatnonzero(np.diff(t_ns)) + 1)]
-    return np.concatenate([*parts, axis.place(np.empty(0, np.int64), final=True).index])
 
 
 @pytest.mark.parametrize("rig_file", [True, False])
@@ -144,27 +152,21 @@ def test_reads_of_an_adapter_are_no_faster_device(hz: float, read_s: float, rig_
 
 
 def test_a_device_at_twice_its_rate_is_seen_whatever_was_lost_or_held_up() -> None:
-    """It was counted at the rate of the rig file, silently: a record of twice the length."""
+    """The device was counted at the rate of the rig file, silently: a record of twice the length."""
     rng, sent_s = np.random.default_rng(0), np.arange(60_000) / 2000.0
     sent_s = sent_s[rng.random(len(sent_s)) > 0.01]
-    stall_s = np.cumsum(rng.exponential(2.0, 30))
-    for begin_s in stall_s.tolist():
-        held = (sent_s > begin_s) & (sent_s < begin_s + 0.2)
-        sent_s[held] = begin_s + 0.2
+    come_s = held_up(sent_s, np.cumsum(rng.exponential(2.0, 30)), 0.2)
     axis = TimeAxis(1000.0)
-    placed_by_reads(axis, read_every(np.maximum.accumulate(sent_s), 0.001, 1e-4))
+    placed_by_reads(axis, read_every(come_s, 0.001, 1e-4))
     assert axis.rate_hz == pytest.approx(2000.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("hz", "seconds"), [(25.0, 60.0), (1000.0, 30.0)])
 def test_a_rate_that_could_not_be_measured_at_first_is_told_later(hz: float, seconds: float) -> None:
     sent_s = np.arange(round(seconds * hz)) / (1.024 * hz)
-    rng = np.random.default_rng(0)
-    for begin_s in np.cumsum(rng.exponential(0.5, 20)).tolist():
-        held = (sent_s > begin_s) & (sent_s < begin_s + 0.3)
-        sent_s[held] = begin_s + 0.3
+    come_s = held_up(sent_s, np.cumsum(np.random.default_rng(0).exponential(0.5, 20)), 0.3)
     axis = TimeAxis(hz)
-    placed_by_reads(axis, read_every(np.maximum.accumulate(sent_s), 0.016, 2e-3))
+    placed_by_reads(axis, read_every(come_s, 0.016, 2e-3))
     found = axis.rate_hz if axis.rate_hz != hz else axis.drifted()
     assert found == pytest.approx(1.024 * hz, rel=5e-3)
 

@@ -14,7 +14,7 @@ from estimator import CATALOGUE, diagnose, fit, simulate
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import EffectUse
 
-SECONDS = 6.0
+RECORD_S = 6.0
 SHORT_S = 3.0  # where nothing is measured
 EFFECT = CATALOGUE["stribeck"]
 
@@ -22,7 +22,7 @@ EFFECT = CATALOGUE["stribeck"]
 def test_its_parameters_come_back_from_a_fit() -> None:
     rig = one_bearing()
     truth = strengths(EFFECT, size(rig, "bearing1.x", RATE), 0.06)
-    y = simulate(with_effect(rig, EFFECT, truth, "bearing1.x"), RATE, SECONDS, seed=6)
+    y = simulate(with_effect(rig, EFFECT, truth, "bearing1.x"), RATE, RECORD_S, seed=6)
     text = with_effect_in_file(load_rig(ROOT / "configs/tiwari_vyas_1997.toml"), "stribeck", ["bearing1.x"])
     (use,) = (u for u in Rig.parse(text).model.effects if u.name == "stribeck")
     found = fit(replace(rig, effects=(*rig.effects, use)), y, RATE).parameters
@@ -44,7 +44,7 @@ def test_a_diagnosis_names_it_beside_dry_friction() -> None:
     """Where coulomb is in the model, what Stribeck friction adds to it is on trial."""
     rig = one_bearing()
     truth = {"fc": 0.05, "df": 0.15, "vs": 5e-4}
-    y = simulate(with_effect(rig, EFFECT, truth, "bearing1.x"), RATE, SECONDS, seed=5)
+    y = simulate(with_effect(rig, EFFECT, truth, "bearing1.x"), RATE, RECORD_S, seed=5)
     dry = replace(rig, effects=(*rig.effects, EffectUse("coulomb", {"bearing1.x": {}})))
     found = diagnose(dry, y, RATE)
     assert found.verdict == "stribeck"

@@ -6,7 +6,7 @@ from estimator import Channel, Model, Setting, compare, fit, simulate
 
 RATE_HZ = 29700.0
 NOISE_RMS = 0.5  # m/s^2: integrated twice, 35 000 times the PSD of the force at the lower edge of the band
-TRUE = {"kL": 66e6, "c": 81.0, "S": 1.06e-5}
+TRUE_LINEAR_SI = {"kL": 66e6, "c": 81.0, "S": 1.06e-5}
 
 
 def rig(**known: float) -> Model:
@@ -17,9 +17,9 @@ def rig(**known: float) -> Model:
 
 def test_noise_at_the_lower_edge_is_no_force_amid_the_band() -> None:
     """Where it leaks, S is 11 % too large, kL 0.4 % too small (3.5 sd each), and a coloured excitation is found."""
-    y = simulate(rig(**TRUE), RATE_HZ, 20.0, seed=3, noise=NOISE_RMS)
+    y = simulate(rig(**TRUE_LINEAR_SI), RATE_HZ, 20.0, seed=3, noise=NOISE_RMS)
     found = fit(rig(), y, RATE_HZ).parameters
-    for name, true in TRUE.items():
+    for name, true in TRUE_LINEAR_SI.items():
         p = found[f"bearing1.x.{name}"]
         assert p.value is not None
         assert p.sd is not None
