@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,10 @@ def rotor(output: Output, source: Path, out: Path) -> None:
         raise ConfigError(f"{source}: no such file; save the model in ROSS: rotor.save('{source.stem}.toml')")
     check_installed(("ross",), "ross", f"{source}: a model saved by ROSS")
     told, arrays = _matrices(source)
-    write_whole(out, arrays)
     bearings, discs = _named(told["bearings"], "bearing"), _named(told["discs"], "disc")
     if len(bearings) < 1:
         raise ConfigError(f"{source}: holds no bearing; add bearing elements, for their nodes")
+    write_whole(out, arrays)
     text = _tables(out, bearings, discs)
     notes = []
     if told["seals"]:
@@ -72,14 +73,34 @@ def _matrices(source: Path) -> tuple[dict[str, Any], bytes]:
             capture_output=True, text=True, check=False, cwd=folder,
         )  # fmt: skip
         if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            raise ConfigError(f"{source}: ROSS cannot load it ({last}); save it again in ROSS: rotor.save(FILE)")
+            raise ConfigError(f"{source}: {_refusal(source, done.stderr)}")
         with np.load(target) as arrays:
             kept = {name: arrays[name] for name in arrays.files}
         packed = io.BytesIO()
         np.savez_compressed(packed, **kept)
         told: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
         return told, packed.getvalue()
+
+
+def _refusal(source: Path, said: str) -> str:
+    """Why a file cannot be loaded, and what to do. said : what ROSS left on standard error."""
+    again = f"save the model in ROSS: rotor.save('{source.stem}.toml')"
+    try:
+        text = source.read_text("utf-8")
+        tables = json.loads(text) if source.suffix.lower() == ".json" else tomllib.loads(text)
+    except ValueError as error:
+        return f"is no whole TOML or JSON file ({error}); {again}"
+    if "rig" in tables:
+        return f"is a rig file (rotorscope check {source}), and no model of ROSS; {again}"
+    if "parameters" not in tables:
+        return f"is no model saved by ROSS: its first table, [parameters], is missing; {again}"
+    if not any(name.startswith("ShaftElement") for name in tables):
+        return f"holds no shaft element; {again}"
+    last = (said.strip().splitlines() or ["it says nothing"])[-1]
+    if missing := re.fullmatch(r"KeyError: '(.*)'", last):
+        last = f'it asks for "{missing[1]}", which the file lacks'
+    written = f"saved by ROSS {tables['ross_version']}, and " if "ross_version" in tables else ""
+    return f"{written}ROSS here cannot load it: {last}; correct it, or {again}"
 
 
 def _named(tagged: list[tuple[str, int]], word: str) -> dict[str, int]:

@@ -67,9 +67,33 @@ def test_the_matrices_and_the_table_for_the_rig_file(
     with np.load(tmp_path / "rotor.npz") as arrays:
         assert int(arrays["dofs_per_node"]) == 4
         assert arrays["K"].shape == (12, 12)
-    (tmp_path / "broken.toml").write_text("")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            'ross_version = "2.3.0"\n[parameters]\n',
+            'saved by ROSS 2.3.0, and ROSS here cannot load it: it asks for "Shaft',
+        ),
+        ('[rig]\nname = "a"\n', "is a rig file (rotorscope check"),
+        ("[a]\n", "no model saved by ROSS: its first table, [parameters], is missing"),
+        ("[parameters", "is no whole TOML or JSON file"),
+    ],
+)
+def test_a_file_that_ross_cannot_load_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str, why: str
+) -> None:
+    (tmp_path / "ross.py").write_text(STAND_IN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "broken.toml").write_text(text)
     assert main(["rotor", str(tmp_path / "broken.toml"), "--out", str(tmp_path / "other.npz")]) == 2
-    assert "ROSS cannot load it (KeyError: 'ShaftElement')" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert why in said
+    assert "save the model in ROSS: rotor.save('broken.toml')" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "other.npz").exists()
 
 
 def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
