@@ -84,7 +84,8 @@ def unknown(model: Model) -> list[str]:
         for k, s in table.items()
         if s.value is None
     ]
-    return [*(f"{p.split('.')[0]} mass" for p in model.places if model.cap_mass(p) is None), *linear, *own]
+    masses = dict.fromkeys(f"{p.split('.')[0]} mass" for p in model.places if model.cap_mass(p) is None)
+    return [*masses, *linear, *own]
 
 
 def _summary(rig: Rig) -> Table:

@@ -2,32 +2,50 @@
 
 from __future__ import annotations
 
+import math
+import re
+import sys
 from collections.abc import Callable
 
+from daq.base.contract.errors import ConfigError
 from daq.rig.rig_table import of_designation
 
 from .guess import RADIAL_PLACES, Guess, kind_of_unit
 from .text import NewRig
 
 MAX_CHANNELS = 4
+MAX_ANSWER = 1e9
+NOT_KNOWN = ("", "unknown")
 
 
-def ask(name: str, answer: Callable[[str], str] = input) -> NewRig:
+def typed(question: str) -> str:
+    """One answer from the terminal. Raises ConfigError where it ends before the last one."""
+    try:
+        return input(question)
+    except EOFError:
+        sys.stdout.write("\n")  # the question has no end of line
+        raise ConfigError(
+            "init: the answers ended before the last question, so no rig file was written; start again, "
+            "or give --from FILE or --example NAME"
+        ) from None
+
+
+def ask(name: str, answer: Callable[[str], str] = typed) -> NewRig:
     """The rig by the answers; an empty answer takes what stands in brackets.
 
     answer : asks a question and returns what was typed.
     """
-    count = int(_number(answer, "How many accelerometers or velocity sensors, 1 to 4? [2] ", 2.0, MAX_CHANNELS) or 2)
+    count = _number(answer, "How many accelerometers or velocity sensors, 1 to 4? [2] ", MAX_CHANNELS)
     unit = _unit(answer)
-    rate_hz = _number(answer, "Sampling rate in Hz, if known? [unknown] ", None)
-    speed_rpm = _number(answer, "Speed of the shaft in rpm, if known? [unknown] ", None)
-    mass_kg = _number(answer, "Mass that moves with a bearing cap in kg, if known? [unknown] ", None)
+    rate_hz = _number(answer, "Sampling rate in Hz, if known? [unknown] ")
+    speed_rpm = _number(answer, "Speed of the shaft in rpm, if known? [unknown] ")
+    mass_kg = _number(answer, "Mass that moves with a bearing cap in kg, if known? [unknown] ")
     bearing = _bearing(answer)
     kind = kind_of_unit(unit)
     channels = [
         Guess(name=f"b{node[-1]}{direction}", source=f"b{node[-1]}{direction}", kind=kind, unit=unit, node=node,
               direction=direction, sure=True)
-        for node, direction in RADIAL_PLACES[:count]
+        for node, direction in RADIAL_PLACES[: int(count or 2)]
     ]  # fmt: skip
     return NewRig(
         name=name, origin="Written by rotorscope init from answers.", channels=channels, rate_hz=rate_hz,
@@ -35,33 +53,40 @@ def ask(name: str, answer: Callable[[str], str] = input) -> NewRig:
     )  # fmt: skip
 
 
-def _number(answer: Callable[[str], str], question: str, default: float | None, most: float = 1e9) -> float | None:
+def _number(answer: Callable[[str], str], question: str, most: int | None = None) -> float | None:
+    """A number above 0, None where it is left open. most : a whole number up to it is asked for."""
+    again = question
     while True:
-        text = answer(question).strip().replace(",", ".")
-        if not text:
-            return default
+        text = answer(again).strip()
+        if text in NOT_KNOWN:
+            return None
+        wanted = "is no number above 0" if most is None else f"is no whole number from 1 to {most}"
+        if re.fullmatch(r"\d{1,3}(,\d{3})+", text):
+            wanted = f"can be read in two ways: type {text.replace(',', '')} or {text.replace(',', '.', 1)}"
         try:
-            value = float(text)
+            value = float(text.replace(",", "."))
         except ValueError:
-            value = 0.0
-        if 0 < value <= most:
+            value = math.nan
+        if "two ways" not in wanted and 0 < value <= (most or MAX_ANSWER) and (most is None or value.is_integer()):
             return value
-        question = f"A number above 0, at most {most:g}, or nothing: "
+        again = f"{text}: {wanted}\n{question}"
 
 
 def _unit(answer: Callable[[str], str]) -> str:
-    question = "Unit of the values (m/s^2, g, mm/s)? [m/s^2] "
+    again = question = "Unit of the values (m/s^2, g, mm/s)? [m/s^2] "
     while True:
-        text = answer(question).strip() or "m/s^2"
+        text = answer(again).strip() or "m/s^2"
         if kind_of_unit(text) in ("acceleration", "velocity", "displacement"):
             return text
-        question = "A unit such as m/s^2, g, mg, mm/s, um: "
+        again = f"{text}: is no unit of a vibration; known are m/s^2, g, mg, mm/s, um and others\n{question}"
 
 
 def _bearing(answer: Callable[[str], str]) -> str:
-    question = "Designation of the bearing, such as 6205? [unknown] "
+    again = question = "Designation of the bearing, such as 6205? [unknown] "
     while True:
-        text = answer(question).strip()
-        if not text or of_designation(text) is not None:
+        text = answer(again).strip()
+        if text in NOT_KNOWN:
+            return ""
+        if of_designation(text) is not None:
             return text
-        question = f"{text} is not in our table; leave it empty, and give its geometry in the file: "
+        again = f"{text}: is not in the table; leave it empty, and give its geometry in the file\n{question}"

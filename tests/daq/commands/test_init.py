@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S
 
 from daq.commands.cli.app import main
 from daq.commands.start.examples import example_files
@@ -80,6 +84,37 @@ def test_from_a_dbc_the_signals_in_units_of_vibration(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(example_files()))
 def test_every_example_works_where_it_is_copied_to(name: str, tmp_path: Path) -> None:
     made(tmp_path, "--example", name)
+
+
+def test_an_answer_that_can_be_read_in_two_ways_is_asked_again() -> None:
+    answers = iter(["2.5", "2", "g", "12,800", "12800", "1480 rpm", "1480", "0,35", "unknown"])
+    asked: list[str] = []
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    new = ask("pump", answer)
+    assert (len(new.channels), new.rate_hz, new.speed_rpm, new.mass_kg, new.designation) == (2, 12800, 1480, 0.35, "")
+    assert "2.5: is no whole number from 1 to 4" in asked[1]
+    assert "12,800: can be read in two ways: type 12800 or 12.800" in asked[4]
+    assert "1480 rpm: is no number above 0\nSpeed of the shaft" in asked[6]
+
+
+def test_an_end_of_the_answers_is_one_line(tmp_path: Path) -> None:
+    there, here = os.openpty()
+    end = subprocess.Popen(
+        [sys.executable, "-m", "daq", "init", "--out", str(tmp_path / "a.toml")],
+        stdin=here, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    os.close(here)
+    os.write(there, b"\n\x04")
+    said = end.communicate(timeout=PATIENCE_S)[1]
+    os.close(there)
+    assert end.returncode == 2
+    assert said.strip().count("\n") == 0
+    assert "the answers ended before the last question" in said
+    assert not (tmp_path / "a.toml").exists()
 
 
 def test_answers_make_a_rig_and_wrong_ones_are_asked_again() -> None:
