@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.base.console.file_kinds import other_kind
 from daq.base.console.memory import bounded_memory
 from daq.base.contract.errors import ConfigError, LogError
 from daq.rig.units import is_unit
@@ -39,6 +40,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
     reader = READER_OF_SUFFIX.get(path.suffix.lower())
     if path.suffix.lower() == ".mcap":
         raise LogError(f"{path}: is a log by its ending: it is read as it is, by fit, diagnose, info and the others")
+    if reader is None and (what := other_kind(path)):
+        raise LogError(f"{path}: {what}")
     if reader is None:
         known = ", ".join([*READER_OF_SUFFIX, ".log, .blf, .asc (CAN, with a DBC)"])
         remedy = REMEDY_OF_SUFFIX.get(path.suffix.lower(), "")

@@ -219,6 +219,16 @@ def test_recovery_of_a_whole_log_and_its_mistakes(tmp_path: Path, whole: Bytes) 
         recover(tmp_path / "a.mcap", tmp_path / "no" / "folder.mcap")
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"), [("my.toml", "is a rig file by its ending, and no log: rotorscope check"),
+                         ("device.dbc", "is a DBC by its ending, and no log: rotorscope init --from")]
+)  # fmt: skip
+def test_a_file_of_another_kind_is_named_with_the_command_that_takes_it(tmp_path: Path, name: str, remedy: str) -> None:
+    (tmp_path / name).write_text('[rig]\nname = "a"\n')
+    with pytest.raises(LogError, match=remedy):
+        read_log(tmp_path / name)
+
+
 def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
     """Also those that ended because they were full, as behind a slow disk."""
     file = LogFile(tmp_path / "a.mcap")
