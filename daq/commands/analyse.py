@@ -99,7 +99,7 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
         (row["channel"], row["against"].replace("_", " "), row["region"], f"{row['share_percent']:.0f}")
         for row in value["where"]
     ]
-    headings = ("channel", "fails against", "region", "share [%]")
+    headings = ("channel", "predicted by", "region", "share [%]")
     table = FittingTable(headings=headings, rows=rows, order=(1, 3, 2), right=frozenset({3}))
     people: list[Any] = [table, ""] if rows else []
     people.append(f"missing force: {missing['value']:.2f} % of the bearing force ({interval})")

@@ -9,16 +9,15 @@ from typing import Any
 
 PREFIX_OF_POWER = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 TINY_VALUE = 1e-300  # a number below is shown as zero
-SUPERSCRIPT_DIGITS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+SUPERSCRIPT_DIGITS = str.maketrans("0123456789-.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻·")
 PREFIXED_UNITS = ("m", "N", "N/m", "m/s", "s", "Hz")  # kg has its prefix already, and powers of a unit would mislead
 UNIT_SPELLINGS = {"N s/m": "N·s/m", "N^2/Hz": "N²/Hz", "m/s^2": "m/s²"}
 
 
 def unit_text(unit: str) -> str:
     """The unit with real superscripts."""
-    return UNIT_SPELLINGS.get(unit) or re.sub(
-        r"\^(-?\d+)(?![\d.])", lambda power: power[1].translate(SUPERSCRIPT_DIGITS), unit
-    )
+    raised = re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(SUPERSCRIPT_DIGITS), unit)
+    return UNIT_SPELLINGS.get(unit) or raised
 
 
 def prefix(peak: float, unit: str) -> tuple[float, str]:

@@ -93,6 +93,7 @@ def render(
         pictures=pictures(now, old, ladder, before is not None) | signal_figures.pictures(signal),
         layers=layers.lines(diagnoses[0] if diagnoses else seen, measured_units(signal)),
         comparison=comparison,
+        heading_of_map=words.heading_of_map(comparison),
         where=words.regions(before, comparison),
         findings=[finding(d, k, len(diagnoses), ladder) for k, d in enumerate(diagnoses)],
         ladder=ladder,

@@ -47,6 +47,13 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
     return out
 
 
+def heading_of_map(comparison: Json | None) -> str:
+    """Over what the model leaves: that it fails is said of a model that is judged, and not adequate."""
+    if comparison is None or comparison["adequate"] or message_text(comparison, {NOT_JUDGED, NOT_CONCLUSIVE}):
+        return "What the model leaves over"
+    return "Where the model fails"
+
+
 def about_comparison(comparison: Json) -> list[str]:
     missing = comparison["missing_force_percent"]
     span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"

@@ -29,7 +29,7 @@ def documents(
             (n, r["channel"], r["against"].replace("_", " "), r["region"], percent(r["share_percent"])) for n, r in rows
         ]
         heads = ("model", "channel", "against", "region", "share of the missing force")
-        out["Map"] = "# Where the model fails\n\n" + table(heads, cells)
+        out["Map"] = f"# {words.heading_of_map(comparison)}\n\n" + table(heads, cells)
     units = {name: own["unit"] for name, own in levels.items()}
     if rows_of_layers := layers.lines(diagnoses[0] if diagnoses else seen or {}, units):
         said_of = [f"**{name}** {line}" if name else line for name, line in rows_of_layers]  # a table would be cut

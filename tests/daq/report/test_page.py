@@ -124,6 +124,13 @@ def test_only_the_contract_keys() -> None:
     )
 
 
+def test_a_model_that_is_adequate_does_not_fail_by_the_heading() -> None:
+    assert "Where the model fails" in render("t", comparison=compared(12.0, 1.0))
+    adequate = render("t", comparison=compared(0.6, 1.0))
+    assert "Where the model fails" not in adequate
+    assert "What the model leaves over" in adequate
+
+
 def test_names_are_text_not_markup() -> None:
     evil = "<script>alert(1)</script>$x_{$&\"'"
     parts = {key: value for key, value in made_up().items() if key in ("title", "comparison", "rig_text", "facts")}
@@ -152,7 +159,7 @@ def test_numbers_read_well() -> None:
     assert number(2.813e5) == "2.81 × 10⁵"
     assert unit_text("N/m^3") == "N/m³"
     assert unit_text("N^2/Hz") == "N²/Hz"
-    assert unit_text("N/m^1.5") == "N/m^1.5"
+    assert unit_text("N/m^1.5") == "N/m¹·⁵"
     assert prefix(3e-8, "m") == (1e9, "nm")
     assert parameter({"value": 1.985e-7, "sd": 4.8e-9, "unit": "m"}) == "198.5 ± 9.4 nm"
     assert parameter({"value": 6.0, "sd": 0.3, "unit": "1"}) == "6.00 ± 0.59"
