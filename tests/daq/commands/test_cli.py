@@ -134,7 +134,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["simulate", "RIG", "--out", "a.mcap", "--fault", "dorp:1"], 2, "KIND is one of drop"),
         (["simulate", "RIG", "--serve", "virtual:"], 3, "cannot be served"),
         (["replay", "none.mcap"], 4, "none.mcap"),
-        (["info", "RIG"], 4, "not"),
+        (["info", "RIG"], 4, "is a rig file"),
         (["fit", "LOG", "--rig", "none.toml"], 2, "no such rig file"),
         (["fit", "none.mcap", "--rig", "RIG"], 4, "none.mcap"),
         (["effects", "clearence"], 2, 'did you mean "clearance"?'),

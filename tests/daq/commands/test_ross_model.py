@@ -73,9 +73,10 @@ def test_the_matrices_and_the_table_for_the_rig_file(
     ("text", "why"),
     [
         (
-            'ross_version = "2.3.0"\n[parameters]\n',
-            'saved by ROSS 2.3.0, and ROSS here cannot load it: it asks for "Shaft',
+            'ross_version = "2.3"\n[parameters]\n[ShaftElement_1]\n',
+            "saved by ROSS 2.3, and ROSS here cannot load it: it asks",
         ),
+        ("[parameters]\n", "holds no shaft element"),
         ('[rig]\nname = "a"\n', "is a rig file (rotorscope check"),
         ("[a]\n", "no model saved by ROSS: its first table, [parameters], is missing"),
         ("[parameters", "is no whole TOML or JSON file"),
