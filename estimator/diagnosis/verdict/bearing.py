@@ -31,6 +31,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 from .gates import Context, judged
 from .joint_fit import left_of_own_state, left_of_states
 from .mistake import explaining_mistake
+from .rivals import better_predicting, is_overshadowed, share_left
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -46,7 +47,6 @@ SHAFT_HARMONICS = frozenset(PERIODIC_EFFECTS).difference(LINE_NAMES, {LOCAL_DEFE
 TWO_LAWS = "two_laws_fit"  # code: two laws of one state leave little together
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
 NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code})
-LEAVES_LITTLE = "leaves little"  # name of the gate
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,12 +159,12 @@ def _judged_by_rule(
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
-    named = [e for e in entries if e.passed and not _is_overshadowed(e, entries)]
-    if named and (better := _better_predicting(entries, named[0], context)) is not None:
+    named = [e for e in entries if e.passed and not is_overshadowed(e, entries)]
+    if named and (better := better_predicting(entries, named[0], context)) is not None:
         named.insert(0, better)
-    if not (named and named[0].placed):
+    if (least_nats := _least_of_mistake(named)) is not None:
         say(0.92, "a mistake in the rig file?")
-        if (mistaken := mistake(entries=entries)) is not None:
+        if (mistaken := mistake(entries=entries)) is not None and mistaken.ranking[0].gain > least_nats:
             return mistaken
     entries += tones
     if not named:
@@ -173,10 +173,21 @@ def _judged_by_rule(
     if shaped is not None and (law := _law_beside(shaped, named[0], y, say, refused)) is not None:
         return law
     ranking = (*named, *(e for e in entries if e not in named))
-    ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if _left(e) is not None]
+    ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if share_left(e) is not None]
     notes = _more_missing(named[0]) if named[0].placed else named[0].notes
     said = (*ahead, *notes)
     return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=said)
+
+
+def _least_of_mistake(named: Sequence[Entry]) -> float | None:
+    """Nats that a mistake in the rig file has to gain; None where a law is named and no mistake is on trial.
+
+    A law that couples the directions of a bearing has a rival: with swapped channels the caps seem coupled by it.
+    """
+    if not (named and named[0].placed):
+        return -np.inf
+    law = named[0].law
+    return named[0].gain if law is not None and law.state == "directions" else None
 
 
 def _is_tone(entry: Entry) -> bool:
@@ -221,42 +232,12 @@ def _judged_entries(entries: list[Entry], context: Context) -> list[Entry]:
     return out
 
 
-def _better_predicting(entries: Sequence[Entry], named: Entry, context: Context) -> Entry | None:
-    """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
-
-    All are fitted together with the model. What the better one leaves is missing beside it.
-    """
-
-    def gain(entry: Entry) -> float:
-        fit = context.fits.get(entry.effect)
-        return -np.inf if fit is None or fit.gain_nats is None else fit.gain_nats
-
-    first, *others = sorted(entries, key=gain, reverse=True)
-    left = _left(first)
-    falls = first.after_percent < first.before_percent
-    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not falls or not np.isfinite(gain(named)):
-        return None
-    return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
-
-
-def _is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:
-    """Whether a law that was refused explains more than twice the force: something larger is missing, unknown."""
-    least = named.force_explained_percent / THRESHOLDS.same_force_min_rel
-    return named.placed != () and any(e.force_explained_percent > least and _left(e) is not None for e in entries)
-
-
 def _more_missing(named: Entry) -> Sequence[Message]:
     """The remark on a named law that leaves more than a fifth; none of another candidate."""
     if named.passed:
         return ()
-    left = f"{100 * (_left(named) or 0.0):.0f} %"
+    left = f"{100 * (share_left(named) or 0.0):.0f} %"
     return (Message("leaves_more", f"{named.effect} predicts best, but leaves {left} of the missing force"),)
-
-
-def _left(entry: Entry) -> float | None:
-    """What a candidate leaves of what it was to explain; None where it did not come to that gate."""
-    last = entry.gates[-1] if entry.gates else None
-    return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
 
 
 def _law_beside(
@@ -288,7 +269,8 @@ def _law_beside(
 
 def _leaves_message(entry: Entry) -> Message:
     """On a candidate that was ahead of the verdict."""
-    return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {100 * (_left(entry) or 0.0):.0f} % of it")
+    left = f"{100 * (share_left(entry) or 0.0):.0f} %"
+    return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {left} of it")
 
 
 def judged_mistake(
@@ -314,13 +296,13 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
     """The judgement where nothing passes: the curve, the nearest candidate and what it leaves."""
     survey, point = context.survey, context.point
     before = survey.missing
-    tried = [e for e in entries if _left(e) is not None]
+    tried = [e for e in entries if share_left(e) is not None]
     said: list[Message] = []
     state: tuple[int, str] | None = None
     pair: Entry | None = None
     if tried:
         nearest = tried[0]
-        text = f"{nearest.effect} fits best but leaves {100 * (_left(nearest) or 0.0):.0f} % of the missing force"
+        text = f"{nearest.effect} fits best but leaves {100 * (share_left(nearest) or 0.0):.0f} % of the missing force"
         said.append(Message("nearest_leaves", text))
         if nearest.law is not None:
             state = min(nearest.places), "velocity" if nearest.law.state == "velocity" else "displacement"

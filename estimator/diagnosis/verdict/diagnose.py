@@ -24,7 +24,14 @@ from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
 from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake, quiet
 from .clipped import with_clipped_channels
-from .signal_findings import line_entries, rig_file_entry, signal_entries, tones_of_surroundings, whole_order_messages
+from .signal_findings import (
+    have_one_order,
+    line_entries,
+    rig_file_entry,
+    signal_entries,
+    tones_of_surroundings,
+    whole_order_messages,
+)
 
 BEARING_NOT_JUDGED = "bearing_not_judged"  # code: the verdict comes from the layers before
 ROTOR_UNTRIED = Message(
@@ -141,10 +148,11 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
 def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, rate_hz: float) -> Diagnosis:
     """The verdict of all layers.
 
-    A bearing defect goes before a law of the motion: impacts make laws look right. It does not go before a law of the
-    shaft's angle, which modulates the vibration at its own order. Imbalance and misalignment go before what is only the
-    trace of a tone. A line is named only where no model of the bearings explains the record. A wrong speed or rate in
-    the rig file is named where nothing is missing, or nothing but a line has a name.
+    A bearing defect goes before a law of the motion: impacts make laws look right. It goes before a law of the shaft's
+    angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of a
+    defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
+    named only where no model of the bearings explains the record. A wrong speed or rate in the rig file is named where
+    nothing is missing, or nothing but a line has a name.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
@@ -153,6 +161,8 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)
     verdict = bearing.verdict if keeps or first is None else first.effect
+    if not keeps:
+        bearing = _without_notes_on_the_first(bearing)
     mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown", *LINE_NAMES) else None
     if mistaken is not None:
         verdict = RIG_FILE
@@ -177,11 +187,20 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     effect = NAMED.get(bearing.verdict)
     if effect is None:
         return bearing.verdict == RIG_FILE
-    if effect.name == first.effect or first.effect == LINE.name:
+    if first.effect == LINE.name:
         return True
-    if effect.found_by != "law":
-        return False
-    return first.effect != LOCAL_DEFECT.name or effect.state == "shaft_angle"
+    law = bearing.ranking[0]
+    if effect.name == first.effect:
+        return have_one_order(law, first)
+    if effect.found_by != "law" or first.effect != LOCAL_DEFECT.name:
+        return effect.found_by == "law"
+    return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
+
+
+def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:
+    """The judgement of the bearings without the notes on what the signal overrules."""
+    overruled = {note.text for entry in bearing.ranking[:1] for note in entry.notes}
+    return replace(bearing, messages=tuple(m for m in bearing.messages if m.text not in overruled))
 
 
 def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: bool) -> tuple[Entry, ...]:

@@ -24,6 +24,9 @@ from estimator.model.rig import Model
 
 from .joint_fit import JointFit, joint_fit
 
+INSIDE_LIMITS = "inside limits"  # name of the gate
+LEAVES_LITTLE = "leaves little"  # name of the gate
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
@@ -82,22 +85,22 @@ def inside_limits(entry: Entry, context: Context) -> GateResult:
         edge_hz = float(np.clip(tone_hz, *data.band))
         if tone_hz != edge_hz:
             text = "frequency outside the band"
-            return GateResult(gate="inside limits", passed=False, measured=tone_hz, limit=edge_hz, text=text)
+            return GateResult(gate=INSIDE_LIMITS, passed=False, measured=tone_hz, limit=edge_hz, text=text)
     most = THRESHOLDS.max_frequency_over_rate
     highest = max(hz, default=0.0) / data.rate_hz
     if highest > most:
         text = "frequency over the rate"
-        return GateResult(gate="inside limits", passed=False, measured=highest, limit=most, text=text)
+        return GateResult(gate=INSIDE_LIMITS, passed=False, measured=highest, limit=most, text=text)
     gaps = [
         law.p[k] / np.sqrt(np.sum(np.max(np.abs(data.x[list(law.at)]), axis=1) ** 2))
         for law in entry.placed for k, q in enumerate(law.effect.parameters)
         if not q.linear and q.scale == "x" and q.low >= 0.0
     ]  # fmt: skip
     if not gaps:
-        return GateResult(gate="inside limits", passed=True)
+        return GateResult(gate=INSIDE_LIMITS, passed=True)
     widest, most = float(min(gaps)), THRESHOLDS.max_gap_over_motion
     text = "gap over the largest motion"
-    return GateResult(gate="inside limits", passed=widest <= most, measured=widest, limit=most, text=text)
+    return GateResult(gate=INSIDE_LIMITS, passed=widest <= most, measured=widest, limit=most, text=text)
 
 
 def gains_in_folds(entry: Entry, context: Context) -> GateResult:
@@ -134,11 +137,11 @@ def leaves_little(entry: Entry, context: Context) -> GateResult:
     fit, most = context.fitted(entry), THRESHOLDS.max_left_rel
     left = fit.left_rel
     if left is None:
-        return GateResult(gate="leaves little", passed=True)
+        return GateResult(gate=LEAVES_LITTLE, passed=True)
     least = left if fit.least_left_rel is None else fit.least_left_rel
     limit = f" (lower 95 % limit {least:.2f})" if least < most < left else ""
     text = f"share left of what it was to explain{limit}"
-    return GateResult(gate="leaves little", passed=least <= most, measured=left, limit=most, text=text)
+    return GateResult(gate=LEAVES_LITTLE, passed=least <= most, measured=left, limit=most, text=text)
 
 
 NAMING_GATES: tuple[Gate, ...] = (

@@ -18,6 +18,7 @@ from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.machine import (
     RATE_CONTRADICTED,
+    RATE_UNCONFIRMED,
     RECORD_SOURCE,
     SPEED_CONTRADICTED,
     MachineSurvey,
@@ -60,6 +61,8 @@ class Thresholds:
         The same of a line that is no multiple of shaft or mains: 20 dB below the level.
     whole_order_tolerance : float
         Distance of a strike order from a whole number, in shaft orders.
+    max_slip_rel : float
+        Between two orders of one defect: slip of the balls and the contact angle under load.
     """
 
     max_p_value: float = 1e-3
@@ -69,6 +72,7 @@ class Thresholds:
     min_line_power_share: float = 0.1
     min_unexplained_power_share: float = 0.01
     whole_order_tolerance: float = 0.02
+    max_slip_rel: float = 0.02
 
 
 MACHINE_THRESHOLDS = Thresholds()
@@ -121,6 +125,12 @@ def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> E
         sd = None if speed is None else train.order * speed.sd_rpm / speed.value_rpm
         parameters[f"{place}.{LOCAL_DEFECT.name}.order"] = Parameter(train.order, sd, "1")
     return _entry(LOCAL_DEFECT.name, place, train.p_value, parameters)
+
+
+def have_one_order(one: Entry, other: Entry) -> bool:
+    """Whether two candidates have no orders that differ by more than the slip of a bearing."""
+    orders = [p.value for e in (one, other) for key, p in e.parameters.items() if key.endswith(".order") and p.value]
+    return max(orders, default=1.0) <= (1.0 + MACHINE_THRESHOLDS.max_slip_rel) * min(orders, default=1.0)
 
 
 def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
@@ -189,15 +199,15 @@ def rig_file_entry(model: Model, machine: MachineSurvey, rate_hz: float) -> tupl
     speed = machine.speed
     if speed is None or speed.source != RECORD_SOURCE or not model.speed_rpm:
         return None
-    rpm = Parameter.from_estimate(speed.value_rpm, speed.sd_rpm, "rpm")
-    hz = rate_hz * model.speed_rpm / speed.value_rpm
-    rate = Parameter.from_estimate(hz, hz * speed.sd_rpm / speed.value_rpm, "Hz")
-    named = {SPEED_CONTRADICTED: {"rig.speed_rpm": rpm}, RATE_CONTRADICTED: {"rate_hz": rate, "rig.speed_rpm": rpm}}
-    for message in machine.messages:
-        if message.code in named:
-            nats = 0.5 * ((speed.value_rpm - model.speed_rpm) / speed.sd_rpm) ** 2
-            return mistake_entry(nats, named[message.code]), Message(RIG_FILE, message.text)
-    return None
+    said = [m for m in machine.messages if m.code in (SPEED_CONTRADICTED, RATE_CONTRADICTED)]
+    if not said:
+        return None
+    named = {"rig.speed_rpm": Parameter.from_estimate(speed.value_rpm, speed.sd_rpm, "rpm")}
+    if {m.code for m in machine.messages} & {RATE_CONTRADICTED, RATE_UNCONFIRMED}:
+        hz = rate_hz * model.speed_rpm / speed.value_rpm
+        named["rate_hz"] = Parameter.from_estimate(hz, hz * speed.sd_rpm / speed.value_rpm, "Hz")
+    nats = 0.5 * ((speed.value_rpm - model.speed_rpm) / speed.sd_rpm) ** 2
+    return mistake_entry(nats, named), Message(RIG_FILE, said[0].text)
 
 
 def whole_order_messages(machine: MachineSurvey) -> Iterator[Message]:

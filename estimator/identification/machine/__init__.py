@@ -1,12 +1,13 @@
 """Tones, orders and strikes in the measured signal."""
 
 from .machine_survey import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
-from .speed import RATE_CONTRADICTED, RECORD_SOURCE, SPEED_CONTRADICTED
+from .speed import RATE_CONTRADICTED, RATE_UNCONFIRMED, RECORD_SOURCE, SPEED_CONTRADICTED
 from .survey import survey_machine
 from .tones import joined_bands
 
 __all__ = [
     "RATE_CONTRADICTED",
+    "RATE_UNCONFIRMED",
     "RECORD_SOURCE",
     "SPEED_CONTRADICTED",
     "MachineSurvey",

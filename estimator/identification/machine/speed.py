@@ -21,6 +21,7 @@ from .thresholds import LIMITS
 from .tones import Line, mains_at
 
 SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed than the rig file says
+RATE_UNCONFIRMED = "rate_unconfirmed"  # a wrong rate explains the other speed as well, and no mains line denies it
 RATE_CONTRADICTED = "rate_contradicted"  # the record was sampled at another rate than it says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
 SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
@@ -82,18 +83,28 @@ def tacho_angle(model: Model, y: Array, rate_hz: float) -> Array | None:
     return phase if phase is not None and phase.size > 1 and phase[-1] > phase[0] else None
 
 
-def rate_contradiction(lines: Sequence[Line], speed: ShaftSpeed, given_rpm: float | None) -> list[Message]:
-    """The remark on a rate by which shaft and mains are off alike; it takes the place of one on the speed."""
+def rate_remarks(
+    lines: Sequence[Line], speed: ShaftSpeed, given_rpm: float | None, remarks: list[Message]
+) -> list[Message]:
+    """Remarks on the speed with what the lines of the mains say of the rate: it moves shaft and mains alike."""
     if speed.source != RECORD_SOURCE or not given_rpm:
-        return []
+        return remarks
     ratio = speed.value_rpm / given_rpm
-    if abs(ratio - 1.0) < LIMITS.min_rate_error_rel or (mains := mains_at(lines, ratio)) is None:
-        return []
+    if abs(ratio - 1.0) < LIMITS.min_rate_error_rel:
+        return remarks
+    if (mains := mains_at(lines, ratio)) is not None:
+        text = (
+            f"shaft and mains stand alike at {ratio:.4f} x where they belong ({ratio * mains:.2f} for {mains:.0f} Hz): "
+            f"the true rate is {1 / ratio:.4f} x the one given, or a converter feeds the motor"
+        )
+        return [Message(RATE_CONTRADICTED, text)]
+    if not remarks or mains_at(lines, 1.0) is not None:
+        return remarks
     text = (
-        f"shaft and mains stand alike at {ratio:.4f} x where they belong ({ratio * mains:.2f} for {mains:.0f} Hz): the "
-        f"true rate is {1 / ratio:.4f} x the one given, or a converter feeds the motor"
+        f"with {1 / ratio:.4f} x the given rate the shaft would turn as the rig file says: check the rate too; no line "
+        "of the mains tells a wrong rate from a wrong speed here"
     )
-    return [Message(RATE_CONTRADICTED, text)]
+    return [*remarks, Message(RATE_UNCONFIRMED, text)]
 
 
 def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:

@@ -9,7 +9,7 @@ from estimator.results import Message
 
 from .machine_survey import MachineSurvey, Tone
 from .spectra import channel_spectra
-from .speed import rate_contradiction, shaft_speed
+from .speed import rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
 from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
@@ -55,8 +55,8 @@ def survey_machine(
     bank = LIMITS.live_bands_per_rate if live else LIMITS.bands_per_rate
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed, bank)
     lines = significant_lines(spectra)
-    if speed is not None and (rate := rate_contradiction(lines, speed, model.speed_rpm)):
-        remarks = rate
+    if speed is not None:
+        remarks = rate_remarks(lines, speed, model.speed_rpm, remarks)
     tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
     shown, more = _shown(tones)
     left_out = lines_to_leave_out(lines, model.band, speed)

@@ -263,8 +263,8 @@ def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
     The first or the second multiple has to stand at the ratio.
     """
     for mains in LIMITS.mains_hz:
-        at = [_multiples(lines, mains * r) for r in (ratio, 1.0)]
-        if at[0] & {1, 2} and not at[1]:
+        there = _multiples(lines, mains * ratio) & {1, 2}
+        if there and (ratio == 1.0 or not _multiples(lines, mains)):
             return mains
     return None
 

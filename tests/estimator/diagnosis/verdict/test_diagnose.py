@@ -19,6 +19,7 @@ from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
 from estimator.identification.judgeable import Layers
 from estimator.identification.machine import (
     RATE_CONTRADICTED,
+    RATE_UNCONFIRMED,
     SPEED_CONTRADICTED,
     MachineSurvey,
     ShaftSpeed,
@@ -28,7 +29,7 @@ from estimator.identification.machine import (
 from estimator.identification.record import ChannelSummary, RecordSurvey
 from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
-from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, Message
+from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, Message, Parameter
 
 RATE_HZ = 5120.0
 ONE_CAP_RIG = Model(
@@ -130,8 +131,26 @@ def test_strikes_at_a_kinematic_order_are_a_local_defect_whatever_law_the_impact
     assert order.sd == pytest.approx(3.585 * 0.6 / 1800)
 
 
-def test_a_law_that_turns_with_the_shaft_modulates_the_envelope_and_stands() -> None:
-    assert verdict(judged("ball_pass"), strikes()).verdict == "ball_pass"
+def test_a_law_that_turns_with_the_shaft_stands_beside_strikes_that_are_less_certain() -> None:
+    """A ball pass modulates the envelope at its own order; clear strikes look like a ball pass."""
+    assert verdict(judged("ball_pass"), strikes(p_value=1e-6)).verdict == "ball_pass"
+    assert verdict(judged("ball_pass"), strikes(p_value=1e-30)).verdict == "local_defect"
+    third = replace(entry("ball_pass"), parameters={"bearing1.y.ball_pass.order": Parameter(3 * 3.585, 0.01, "1")})
+    found = verdict(BearingJudgement("ball_pass", (third,)), strikes(p_value=1e-6))
+    assert found.verdict == "local_defect", "a harmonic of the strikes"
+
+
+@pytest.mark.parametrize(("order", "told"), [(3.60, 3.60), (7.17, 3.585)])
+def test_the_order_of_a_defect_is_that_of_the_strikes(order: float, told: float) -> None:
+    """A force at every second harmonic has twice the order."""
+    advice = Message("found_where", f"impacts at {order} x shaft speed")
+    parameters = {"bearing1.y.local_defect.order": Parameter(order, 0.01, "1")}
+    own = replace(entry("local_defect"), parameters=parameters, notes=(advice,))
+    found = verdict(BearingJudgement("local_defect", (own,), messages=own.notes), strikes(order=3.585))
+    assert found.verdict == found.ranking[0].effect == "local_defect"
+    assert found.ranking[0].parameters["bearing1.y.local_defect.order"].value == told
+    assert (advice in found.messages) is (told == order)
+    assert sum(e.effect == "local_defect" for e in found.ranking) == 1
 
 
 def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
@@ -190,18 +209,25 @@ def test_no_share_is_over_100_percent_and_no_more_than_ten_notes_are_said() -> N
     assert len(found.messages) <= 10
 
 
+SPEED, RATE = {"rig.speed_rpm": 1800.0}, {"rate_hz": RATE_HZ * 1750.0 / 1800.0}
+
+
 @pytest.mark.parametrize(
-    ("code", "key", "value"),
-    [(SPEED_CONTRADICTED, "rig.speed_rpm", 1800.0), (RATE_CONTRADICTED, "rate_hz", RATE_HZ * 1750.0 / 1800.0)],
+    ("codes", "values"),
+    [
+        ((SPEED_CONTRADICTED,), SPEED),
+        ((RATE_CONTRADICTED,), SPEED | RATE),
+        ((SPEED_CONTRADICTED, RATE_UNCONFIRMED), SPEED | RATE),  # the record does not tell which
+    ],
 )
 def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else_is(
-    code: str, key: str, value: float
+    codes: tuple[str, ...], values: dict[str, float]
 ) -> None:
-    rig, remark = replace(ONE_CAP_RIG, speed_rpm=1750.0), Message(code, "check it")
-    found = verdict(judged("complete"), model=rig, remarks=(remark,))
+    rig, remarks = replace(ONE_CAP_RIG, speed_rpm=1750.0), tuple(Message(code, f"check {code}") for code in codes)
+    found = verdict(judged("complete"), model=rig, remarks=remarks)
     assert found.verdict == found.ranking[0].effect == "rig_file"
-    assert found.ranking[0].parameters[key].value == pytest.approx(value)
-    assert verdict(judged("cubic"), model=rig, remarks=(remark,)).verdict == "cubic"
+    assert {key: p.value for key, p in found.ranking[0].parameters.items()} == pytest.approx(values)
+    assert verdict(judged("cubic"), model=rig, remarks=remarks).verdict == "cubic"
     assert verdict(judged("complete"), model=rig).verdict == "complete"
 
 

@@ -1,0 +1,60 @@
+"""A law that passed the gates beside those that were refused: whether it is the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.thresholds import THRESHOLDS
+
+from .gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
+
+
+def share_left(entry: Entry) -> float | None:
+    """What a candidate leaves of what it was to explain; None where it did not come to that gate."""
+    last = entry.gates[-1] if entry.gates else None
+    return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
+
+
+def better_predicting(entries: Sequence[Entry], named: Entry, context: Context) -> Entry | None:
+    """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
+
+    All are fitted together with the model. What the better one leaves is missing beside it.
+    """
+
+    def gain(entry: Entry) -> float:
+        fit = context.fits.get(entry.effect)
+        return -np.inf if fit is None or fit.gain_nats is None else fit.gain_nats
+
+    first, *others = sorted(entries, key=gain, reverse=True)
+    left = share_left(first)
+    falls = first.after_percent < first.before_percent
+    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not falls or not np.isfinite(gain(named)):
+        return None
+    return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
+
+
+def is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:
+    """Whether a law that passed is no answer, because something larger than it is missing.
+
+    More than twice what it explains is left, or a law that was refused explains more than twice as much, or is far
+    likelier at the same bearings.
+    """
+    if not named.placed:
+        return False
+    least = named.force_explained_percent / THRESHOLDS.same_force_min_rel
+    larger = any(e.force_explained_percent > least and share_left(e) is not None for e in entries)
+    return named.after_percent > least or larger or any(_is_far_likelier(e, named) for e in entries)
+
+
+def _is_far_likelier(refused: Entry, named: Entry) -> bool:
+    """Whether a refused law of possible numbers is likelier than a named one, beyond the resolution of the record.
+
+    Both are compared at the bearings of the named one.
+    """
+    possible = any(gate.gate == INSIDE_LIMITS and gate.passed for gate in refused.gates)
+    if refused.passed or not possible or not set(named.at) <= set(refused.by_node):
+        return False
+    return sum(refused.by_node[node][0] for node in named.at) > named.gain + THRESHOLDS.rival_nats

@@ -1,0 +1,49 @@
+"""A law that passed the gates is no answer beside something larger that no law explains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import pytest
+
+from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
+from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE
+from estimator.diagnosis.verdict.rivals import is_overshadowed
+from estimator.likelihood.motion.located_law import LocatedLaw
+
+PASSED = (GateResult(gate=INSIDE_LIMITS, passed=True), GateResult(gate=LEAVES_LITTLE, passed=True))
+LEFT_TOO_MUCH = (PASSED[0], GateResult(gate=LEAVES_LITTLE, passed=False, measured=0.6, limit=0.2))
+IMPOSSIBLE = (GateResult(gate=INSIDE_LIMITS, passed=False, measured=2.0, limit=1.0),)
+
+
+def law(nats: float, before: float, after: float, *gates: GateResult) -> Entry:
+    """A law at bearing1. before, after : missing force, per cent of the bearing force."""
+    return Entry(
+        effect="some_law", at=("bearing1",), gain=nats, heldout_gain=nats, p_value=1e-9, before_percent=before,
+        after_percent=after, parameters={}, score=nats, by_node={"bearing1": (nats, nats)}, gates=gates,
+        placed=cast(tuple[LocatedLaw, ...], ("a law",)),
+    )  # fmt: skip
+
+
+NAMED = law(60.0, 5.0, 3.0, *PASSED)  # explains 4 %
+
+
+@pytest.mark.parametrize(
+    ("beside", "overshadowed"),
+    [
+        (law(65.0, 5.0, 3.0, *LEFT_TOO_MUCH), False),  # within the resolution of the record
+        (law(90.0, 5.0, 3.0, *LEFT_TOO_MUCH), True),  # far likelier
+        (law(90.0, 5.0, 3.0, *PASSED), False),  # that passed too: the ranking decides
+        (law(90.0, 5.0, 3.0, *IMPOSSIBLE), False),  # of a gap that the motion never closes
+        (law(40.0, 9.5, 3.0, *LEFT_TOO_MUCH), True),  # explains 9 %
+        (replace(law(90.0, 5.0, 3.0, *LEFT_TOO_MUCH), by_node={"bearing2": (90.0, 90.0)}), False),  # elsewhere
+    ],
+)
+def test_a_refused_law_that_is_larger_or_far_likelier_overshadows(beside: Entry, overshadowed: bool) -> None:
+    assert is_overshadowed(NAMED, [NAMED, beside]) is overshadowed
+
+
+def test_a_law_that_leaves_more_than_twice_what_it_explains_is_no_answer() -> None:
+    assert is_overshadowed(law(60.0, 9.9, 9.0, *PASSED), []), "explains 4 %, leaves 9 %"
+    assert not is_overshadowed(replace(law(60.0, 9.9, 9.0, *PASSED), placed=()), []), "a spectrum is no law"
