@@ -8,8 +8,6 @@ from functools import partial
 from itertools import combinations, product
 from typing import Any
 
-import numpy as np
-
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.curves import Shape, missing_force_curve
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
@@ -31,7 +29,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 from .gates import Context, judged
 from .joint_fit import left_of_own_state, left_of_states
 from .mistake import explaining_mistake
-from .rivals import better_predicting, is_overshadowed, share_left
+from .rivals import better_predicting, is_overshadowed, least_of_mistake_nats, share_left
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -162,7 +160,7 @@ def _judged_by_rule(
     named = [e for e in entries if e.passed and not is_overshadowed(e, entries)]
     if named and (better := better_predicting(entries, named[0], context)) is not None:
         named.insert(0, better)
-    if (least_nats := _least_of_mistake(named)) is not None:
+    if (least_nats := least_of_mistake_nats(named)) is not None:
         say(0.92, "a mistake in the rig file?")
         if (mistaken := mistake(entries=entries)) is not None and mistaken.ranking[0].gain > least_nats:
             return mistaken
@@ -177,17 +175,6 @@ def _judged_by_rule(
     notes = _more_missing(named[0]) if named[0].placed else named[0].notes
     said = (*ahead, *notes)
     return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=said)
-
-
-def _least_of_mistake(named: Sequence[Entry]) -> float | None:
-    """Nats that a mistake in the rig file has to gain; None where a law is named and no mistake is on trial.
-
-    A law that couples the directions of a bearing has a rival: with swapped channels the caps seem coupled by it.
-    """
-    if not (named and named[0].placed):
-        return -np.inf
-    law = named[0].law
-    return named[0].gain if law is not None and law.state == "directions" else None
 
 
 def _is_tone(entry: Entry) -> bool:

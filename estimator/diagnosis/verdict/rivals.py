@@ -58,3 +58,14 @@ def _is_far_likelier(refused: Entry, named: Entry) -> bool:
     if refused.passed or not possible or not set(named.at) <= set(refused.by_node):
         return False
     return sum(refused.by_node[node][0] for node in named.at) > named.gain + THRESHOLDS.rival_nats
+
+
+def least_of_mistake_nats(named: Sequence[Entry]) -> float | None:
+    """Nats that a mistake in the rig file has to gain; None where a law is named and no mistake is on trial.
+
+    A law that couples the directions of a bearing has a rival: with swapped channels the caps seem coupled by it.
+    """
+    if not (named and named[0].placed):
+        return -np.inf
+    law = named[0].law
+    return named[0].gain if law is not None and law.state == "directions" else None

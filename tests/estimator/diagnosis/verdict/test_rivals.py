@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE
-from estimator.diagnosis.verdict.rivals import is_overshadowed
+from estimator.diagnosis.verdict.rivals import is_overshadowed, least_of_mistake_nats
+from estimator.effects import CATALOGUE
 from estimator.likelihood.motion.located_law import LocatedLaw
 
 PASSED = (GateResult(gate=INSIDE_LIMITS, passed=True), GateResult(gate=LEAVES_LITTLE, passed=True))
@@ -47,3 +50,14 @@ def test_a_refused_law_that_is_larger_or_far_likelier_overshadows(beside: Entry,
 def test_a_law_that_leaves_more_than_twice_what_it_explains_is_no_answer() -> None:
     assert is_overshadowed(law(60.0, 9.9, 9.0, *PASSED), []), "explains 4 %, leaves 9 %"
     assert not is_overshadowed(replace(law(60.0, 9.9, 9.0, *PASSED), placed=()), []), "a spectrum is no law"
+
+
+def test_a_law_that_couples_the_directions_has_swapped_channels_as_a_rival() -> None:
+    """With b1y and b2x swapped the spring between the caps looks like an anisotropy of each bearing."""
+
+    def placed(name: str) -> Entry:
+        return replace(NAMED, placed=cast(tuple[LocatedLaw, ...], (SimpleNamespace(effect=CATALOGUE[name]),)))
+
+    assert least_of_mistake_nats([placed("anisotropy")]) == NAMED.gain
+    assert least_of_mistake_nats([placed("cubic")]) is None
+    assert least_of_mistake_nats([]) == -np.inf
