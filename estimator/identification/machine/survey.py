@@ -15,8 +15,6 @@ from .thresholds import LIMITS
 from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
 
 FORCE_UNIT = "N"
-MORE_TONES = "more_tones"  # tones beyond those shown
-NO_PIECES = "no_gap_free_piece"  # a channel has no run of samples that is long enough
 
 
 def survey_machine(
@@ -46,7 +44,7 @@ def survey_machine(
     columns = _columns(model, record.unusable if record is not None else frozenset())
     spectra = channel_spectra(y, rate_hz, columns)
     missing = [
-        Message(NO_PIECES, f"channel {name}: no run of 256 samples without a gap", name)
+        Message("no_gap_free_piece", f"channel {name}: no run of 256 samples without a gap", name)
         for name in columns if name not in spectra
     ]  # fmt: skip
     rms = {name: moments(y[:, columns[name]]).sd for name in spectra}
@@ -80,5 +78,5 @@ def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:
     others = [t for t in tones if t not in first][: max(0, LIMITS.max_tones_shown - len(first))]
     shown = tuple(t for t in tones if t in first or t in others)
     left = len(tones) - len(shown)
-    more = [Message(MORE_TONES, f"{left} weaker tones are not shown")] if left else []
+    more = [Message("more_tones", f"{left} weaker tones are not shown")] if left else []
     return shown, more
