@@ -145,6 +145,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         peak = max(map(abs, shape["force"]), default=0.0)
         where = f" at {shape['channel']}" if "channel" in shape else ""
         people.append(f"what is missing depends on {shape['against']}{where}, up to {peak:.3g} N; --html draws it")
+    people += [value["separates"]] if value.get("separates") else []
     name = value["verdict"]
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {

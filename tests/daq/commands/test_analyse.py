@@ -162,3 +162,5 @@ def test_of_a_complete_model_it_is_said_what_the_record_could_not_have_shown() -
     assert BELOW_DETECTION in diagnosis_text(told)
     assert BELOW_DETECTION not in diagnosis_text(told | {"ranking": [row]})
     assert BELOW_DETECTION not in diagnosis_text(told | {"verdict": "coulomb"})
+    apart = "coulomb or stribeck: the record hardly separates these (3 nats)"
+    assert apart in diagnosis_text(told | {"verdict": "coulomb", "separates": apart})
