@@ -19,6 +19,7 @@ from estimator.identification.judgeable import Layers, judgeable_record, on_judg
 from estimator.identification.machine import MachineSurvey
 from estimator.identification.record import RecordSurvey, UsableRecord, record_messages
 from estimator.identification.structure import StructureSurvey
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
@@ -28,6 +29,7 @@ from .signal_findings import (
     have_one_order,
     line_entries,
     rig_file_entry,
+    severe_tone_message,
     signal_entries,
     tones_of_surroundings,
     whole_order_messages,
@@ -152,7 +154,8 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of a
     defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
     named only where no model of the bearings explains the record. A wrong speed or rate in the rig file is named where
-    nothing is missing, or nothing but a line has a name.
+    nothing is missing, or nothing but a line has a name. Where no speed names a tone that dominates, nothing is called
+    complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
@@ -161,6 +164,9 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)
     verdict = bearing.verdict if keeps or first is None else first.effect
+    severe = severe_tone_message(model, record, machine)
+    if severe is not None and _is_no_cause_of_tones(verdict):
+        verdict = "unknown"
     if not keeps:
         bearing = _without_notes_on_the_first(bearing)
     mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown", *LINE_NAMES) else None
@@ -174,7 +180,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
         ranking=ranking,
         shape=bearing.shape if verdict == bearing.verdict else None,
         separates=bearing.separates if verdict == bearing.verdict else "",
-        messages=_messages(record, machine, bearing, verdict),
+        messages=(*([severe] if severe else ()), *_messages(record, machine, bearing, verdict)),
         record=record,
         machine=machine,
         structure=layers.structure,
@@ -195,6 +201,12 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     if effect.found_by != "law" or first.effect != LOCAL_DEFECT.name:
         return effect.found_by == "law"
     return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
+
+
+def _is_no_cause_of_tones(verdict: str) -> bool:
+    """Whether a verdict is that nothing is missing, or a cause that is no law and makes no tone."""
+    effect = NAMED.get(verdict)
+    return verdict == "complete" if effect is None else effect.found_by != "law" and verdict not in PERIODIC_EFFECTS
 
 
 def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:

@@ -143,10 +143,7 @@ def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) ->
     for channel in model.channels:
         v1, v2 = (0.0 if tone is None else velocity_rms(tone, channel.name) for tone in (first, second))
         v = float(np.hypot(v1, v2))
-        summary = record.channels.get(channel.name)
-        whole = None if summary is None else summary.velocity_rms_mm_s
-        dominant = whole is None or v**2 >= MACHINE_THRESHOLDS.min_dominance * (1e-3 * whole) ** 2
-        if v >= MACHINE_THRESHOLDS.min_velocity_m_s and dominant:
+        if _is_severe(v, record, channel.name):
             found.append((v, v2 / v1 if v1 else np.inf, _place(model, channel.name)))
     if not found:
         return []
@@ -156,6 +153,33 @@ def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) ->
     p = min(tone.p_value for tone in (first, second) if tone is not None)
     nodes = dict.fromkeys(place.split(".")[0] for _, _, place in found)
     return [replace(_entry(name, place, p, {}), at=tuple(nodes))]
+
+
+def severe_tone_message(model: Model, record: RecordSurvey, machine: MachineSurvey) -> Message | None:
+    """The remark on a tone that dominates a vibration that is too large, where no speed tells whether it is the shaft.
+
+    None where the speed is known, or no such tone is there.
+    """
+    if machine.speed is not None:
+        return None
+    for tone in machine.tones:
+        for channel in model.channels:
+            v = velocity_rms(tone, channel.name)
+            if tone.kind == "other" and _is_severe(v, record, channel.name):
+                text = (
+                    f"a tone at {tone.frequency_hz:.2f} Hz holds most of {channel.name} ({1e3 * v:.1f} mm/s rms): give "
+                    "speed_rpm to tell whether it is 1 x shaft (imbalance), 2 x shaft (misalignment) or another source"
+                )
+                return Message("severe_tone", text)
+    return None
+
+
+def _is_severe(velocity_m_s: float, record: RecordSurvey, channel: str) -> bool:
+    """Whether the velocity of some tones is too large and most of that of a channel."""
+    summary = record.channels.get(channel)
+    whole = None if summary is None else summary.velocity_rms_mm_s
+    dominant = whole is None or velocity_m_s**2 >= MACHINE_THRESHOLDS.min_dominance * (1e-3 * whole) ** 2
+    return velocity_m_s >= MACHINE_THRESHOLDS.min_velocity_m_s and dominant
 
 
 def line_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:

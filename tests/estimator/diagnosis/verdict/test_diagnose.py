@@ -104,6 +104,9 @@ def judged(verdict: str) -> BearingJudgement:
     return BearingJudgement(verdict, ranking)
 
 
+SPEED_OF_RECORD = ShaftSpeed(value_rpm=1800.0, sd_rpm=0.6, source="record")
+
+
 def verdict(
     bearing: BearingJudgement,
     *trains: StrikeTrain,
@@ -111,9 +114,9 @@ def verdict(
     model: Model = ONE_CAP_RIG,
     rms: float = 100.0,
     remarks: tuple[Message, ...] = (),
+    speed: ShaftSpeed | None = SPEED_OF_RECORD,
 ) -> Diagnosis:
     levels = {c.name: ChannelSummary(rms=rms, velocity_rms_mm_s=10.0) for c in model.channels}
-    speed = ShaftSpeed(value_rpm=1800.0, sd_rpm=0.6, source="record")
     machine = MachineSurvey(speed=speed, tones=tones, strikes=trains, messages=remarks)
     layers = Layers(record=RecordSurvey(channels=levels), machine=machine, structure=StructureSurvey(band=model.band))
     return verdict_of_layers(model, layers, bearing, RATE_HZ)
@@ -192,6 +195,24 @@ def test_harmonics_of_the_shaft_are_named_at_every_bearing_where_they_are_too_la
         shown = replace(large, amplitude=large.amplitude | {"b2x": factor * large.amplitude["b1x"]})
         found = verdict(NOT, tones=(shown, tone(2.0, 6.0)), model=both)
         assert found.ranking[0].at == at
+
+
+@pytest.mark.parametrize(
+    ("bearing", "expected"),
+    [
+        ("complete", "unknown"),
+        ("sensor_noise", "unknown"),
+        ("unknown", "unknown"),
+        ("cubic", "cubic"),
+        ("line", "line"),
+    ],
+)
+def test_a_severe_tone_without_a_speed_is_said_and_nothing_is_complete_beside_it(bearing: str, expected: str) -> None:
+    for mm_s, severe in ((8.0, True), (2.0, False)):
+        found = verdict(judged(bearing), tones=(tone(1.0, mm_s, "other"),), speed=None)
+        assert found.verdict == (expected if severe else bearing)
+        assert ("severe_tone" in [m.code for m in found.messages]) is severe
+    assert "severe_tone" not in [m.code for m in verdict(judged(bearing), tones=(tone(2.5, 8.0, "other"),)).messages]
 
 
 def test_a_line_that_holds_much_of_a_channel_is_named_only_where_no_model_explains_the_record() -> None:
