@@ -37,13 +37,11 @@ def better_predicting(entries: Sequence[Entry], named: Entry, context: Context) 
 
 
 def is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:
-    """Whether a law that passed is no answer, because something larger than it is missing.
+    """Whether a candidate that passed is no answer, because something larger than it is missing.
 
     More than twice what it explains is left, or a law that was refused explains more than twice as much, or is far
     likelier at the same bearings.
     """
-    if not named.placed:
-        return False
     least = named.force_explained_percent / THRESHOLDS.same_force_min_rel
     larger = any(e.force_explained_percent > least and share_left(e) is not None for e in entries)
     return named.after_percent > least or larger or any(_is_far_likelier(e, named) for e in entries)
@@ -55,7 +53,7 @@ def _is_far_likelier(refused: Entry, named: Entry) -> bool:
     Both are compared at the bearings of the named one.
     """
     possible = any(gate.gate == INSIDE_LIMITS and gate.passed for gate in refused.gates)
-    if refused.passed or not possible or not set(named.at) <= set(refused.by_node):
+    if not named.placed or refused.passed or not possible or not set(named.at) <= set(refused.by_node):
         return False
     return sum(refused.by_node[node][0] for node in named.at) > named.gain + THRESHOLDS.rival_nats
 

@@ -109,9 +109,10 @@ def ratio_messages(model: Model, point: WorkingPoint, masses: Mapping[str, Param
 def _ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
     """A message with the resonance and the damping ratio of a place of unknown mass. kL, c, m : at any scale."""
     hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
+    damping = f"damping {100 * zeta:.2f} % of critical" if c > 0.0 else "damping not told from zero"
     text = (
-        f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, damping "
-        f"{100 * zeta:.2f} % of critical; give [rig.mass] to get stiffness in N/m"
+        f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, {damping}; "
+        "give [rig.mass] to get stiffness in N/m"
     )
     return Message("mass_unknown", text, place)
 
