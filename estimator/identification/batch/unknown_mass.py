@@ -98,23 +98,41 @@ def unscaled_places(model: Model, masses: Mapping[str, Parameter]) -> list[str]:
 
 
 def ratio_messages(model: Model, point: WorkingPoint, masses: Mapping[str, Parameter]) -> tuple[Message, ...]:
-    """A message for each place of unknown mass, with the resonance and the damping ratio."""
-    at = [point.data.places.index(p) for p in unscaled_places(model, masses)]
-    return tuple(
-        _ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
-        for i in at if point.kL[i] > 0.0
-    )  # fmt: skip
+    """A message for each place of unknown mass, with all that its mass does not scale."""
+    found = fitted_parameters(point)
+    at = {p: point.data.mass[point.data.places.index(p)] for p in unscaled_places(model, masses)}
+    with_stiffness = [p for p in at if (found[f"{p}.kL"].value or 0.0) > 0.0]
+    return tuple(_ratios_only_message(place, at[place], found) for place in with_stiffness)
 
 
-def _ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
-    """A message with the resonance and the damping ratio of a place of unknown mass. kL, c, m : at any scale."""
-    hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
-    damping = f"damping {100 * zeta:.2f} % of critical" if c > 0.0 else "damping not told from zero"
-    text = (
-        f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, {damping}; "
-        "give [rig.mass] to get stiffness in N/m"
-    )
-    return Message("mass_unknown", text, place)
+def _ratios_only_message(place: str, mass: float, found: Mapping[str, Parameter]) -> Message:
+    """A message with resonance, damping ratio and the strength of laws over kL at a place of unknown mass.
+
+    mass : kg, at any scale, of the fit. found : parameters of that fit by full name.
+    """
+    own = {name.removeprefix(f"{place}."): q for name, q in found.items() if name.startswith(f"{place}.")}
+    kL = own["kL"]
+    hz = np.sqrt((kL.value or 0.0) / mass) / (2 * np.pi)
+    said = [f"resonance {_with_sd(hz, 0.5 * _sd_rel(kL))} Hz", "damping not told from zero"]
+    c = own["c"]
+    if c.identifiable and c.value is not None and c.value > 0.0:
+        zeta = 100 * c.value / (4 * np.pi * hz * mass)
+        said[1] = f"damping {_with_sd(zeta, _sd_rel(c))} % of critical"
+    for name, q in own.items():
+        if "." in name and q.identifiable and q.value and kL.value and q.unit.startswith("N"):
+            sd_rel = float(np.hypot(_sd_rel(q), _sd_rel(kL)))
+            said.append(f"{name}/kL {_with_sd(q.value / kL.value, sd_rel)} ({q.unit})/(N/m)")
+    text = f"{place}: the mass is unknown, so the record gives only ratios: {', '.join(said)}"
+    return Message("mass_unknown", f"{text}; give [rig.mass] to get stiffness in N/m", place)
+
+
+def _with_sd(value: float, sd_rel: float) -> str:
+    return f"{value:.4g} +- {abs(value) * sd_rel:.2g}"
+
+
+def _sd_rel(q: Parameter) -> float:
+    """Relative standard deviation."""
+    return (q.sd or 0.0) / abs(q.value or np.inf)
 
 
 def with_mass_uncertainty(

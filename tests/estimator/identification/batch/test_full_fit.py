@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -188,6 +189,14 @@ def test_without_a_mass_nothing_is_said_in_newtons() -> None:
         assert {"bearing1.x.kL", "bearing1.y.cubic.kNL"} <= found.keys()
         assert not any(p.identifiable for p in found.values())
     assert [(m.code, m.place) for m in whole.messages] == [("mass_unknown", p) for p in ("bearing1.x", "bearing1.y")]
+    place, m = "bearing1.x", rig.mass["bearing1"]
+    kL, c = ((rig.linear[place][name].value or 0.0) for name in ("kL", "c"))
+    kNL = rig.effects[0].parameters[place]["kNL"].value or 0.0
+    said = re.findall(r"([\d.e+]+) \+- ([\d.e+]+)", whole.messages[0].text)
+    truth = np.sqrt(kL / m) / (2 * np.pi), 100 * c / (2 * np.sqrt(kL * m)), kNL / kL
+    for (value, sd), true in zip(said, truth, strict=True):
+        assert abs(float(value) - true) < 4 * float(sd)
+        assert float(sd) < 0.2 * true
 
 
 @pytest.mark.slow
