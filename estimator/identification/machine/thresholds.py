@@ -102,7 +102,7 @@ class Thresholds:
     mains_hz: tuple[float, float] = (50.0, 60.0)  # of the grids of the world
     max_mains_multiple: int = 12  # that is named
     mains_tolerance_rel: float = 2e-3  # of a grid from its nominal frequency, and of the clock of a recorder
-    max_mains_tolerance_rel: float = 0.015  # of the mains frequency; a record that places a line worse does not name it
+    max_mains_tolerance_rel: float = 0.006  # of the mains frequency; a record that places a line worse does not name it
     # of the shaft's frequency; what places a line worse calls one in twenty an order by chance
     max_order_tolerance: float = 0.03
     max_strong_order_tolerance: float = 0.05  # for the orders that every shaft has

@@ -9,7 +9,7 @@ import pytest
 
 from estimator import Channel, EffectUse, Model, Setting, compare, simulate
 from estimator.identification.machine.line_bands import with_lines_left_out
-from estimator.identification.machine.tones import Line, lines_to_leave_out
+from estimator.identification.machine.tones import Line, lines_to_leave_out, tones_of
 
 RATE_HZ = 12800.0
 CAP_X = {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}
@@ -59,11 +59,14 @@ def test_the_bands_hold_the_tones_and_nothing_else() -> None:
 
 
 def test_mains_hum_is_left_out_where_a_short_record_does_not_tell_it_from_a_mode() -> None:
-    hum, mode = (
-        Line(channel="b1x", hz=hz, half_width_hz=0.1, amplitude=1.0, log_p=-90.0, power_ratio=50.0, narrow=False)
-        for hz in (60.01, 71.3)
+    hum, mode, blurred = (
+        Line(channel="b1x", hz=hz, half_width_hz=width, amplitude=1.0, log_p=-90.0, power_ratio=50.0, narrow=False)
+        for hz, width in ((60.01, 0.1), (71.3, 0.1), (59.22, 1.4))
     )
     assert lines_to_leave_out([hum, mode], (40.0, 2000.0)) == [hum]
+    units, rms = {"b1x": "m/s^2"}, {"b1x": 1.0}
+    assert [tone.kind for tone in tones_of([hum, mode, blurred], None, units, rms)] == ["mains"]
+    assert tones_of([mode, blurred], None, units, rms) == [], "a resonance at 59.2 Hz was called mains"
 
 
 @pytest.mark.parametrize("why", ["force", "own", "unknown"])
