@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from typing import Any
 
 from daq.base.console.output import version
@@ -94,15 +94,18 @@ def _kill(cluster: Any) -> None:
 
 @contextmanager
 def uninterrupted_children() -> Iterator[None]:
-    """Processes that are started within ignore Ctrl-C: a terminal sends it to them too, and they are to be asked."""
-    if threading.current_thread() is not threading.main_thread():
+    """Processes that are started within hear no Ctrl-C: a terminal sends it to them too, and they are to be asked. Ours
+    that comes meanwhile acts at the end: the children inherit that the signal waits, where to ignore it would lose it.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # where it is started within, the signal waits no more
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

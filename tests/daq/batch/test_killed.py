@@ -162,6 +162,17 @@ def test_ctrl_c_keeps_what_is_done(folder: Path) -> None:
     same(folder, "interrupted")
 
 
+def test_ctrl_c_while_the_workers_start_is_heard(folder: Path) -> None:
+    process = batch(folder, "early", "--scheduler", "local:2")
+    wait_for(lambda: psutil.Process(process.pid).children(recursive=True))
+    for each in (psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)):
+        each.send_signal(signal.SIGINT)
+    status, said = ended(process)
+    assert status == 130, said
+    assert said.count("\n") <= 2, said
+    assert len(table(folder / "early", "runs")) < 2 * LOG_COUNT
+
+
 def test_what_takes_too_long_or_too_much_memory_is_a_row(folder: Path) -> None:
     with cluster(folder, "--memory-limit", "1GB") as (address, _, _):
         common = ("--scheduler", address)
