@@ -11,7 +11,7 @@ from daq.base.console.ahead import loaded
 from daq.base.console.extras import check_installed
 from daq.base.console.fitting import FittingTable
 from daq.base.console.memory import keep_freed
-from daq.base.console.output import Output, spare, write_whole
+from daq.base.console.output import Output, check_place, spare, write_whole
 from daq.base.console.tables import parameters_table
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.part import WHOLE_RECORD, Part
@@ -193,9 +193,8 @@ class Pages:
 
     def __init__(self, html: Path | None, rerun: str | None) -> None:
         """Raises ConfigError for a place that cannot be written, before the work is done."""
-        if html is not None and not html.absolute().parent.is_dir():
-            raise ConfigError(f"--html {html}: folder {html.parent} does not exist; create it first")
         if html is not None:
+            check_place("--html", html)
             check_installed(REPORT_MODULES, "report", "--html")
             spare(html, ".toml")
             if html.suffix.lower() not in (".html", ".htm"):

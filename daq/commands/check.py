@@ -16,6 +16,7 @@ from scipy.linalg import eigh
 from daq.base.console.output import Output
 from daq.rig.rig import Rig, check_laws, load_rig
 from daq.rig.rotor_table import read_matrices
+from daq.session.links import check_signals
 from estimator.model import Model, RotorMatrices, Setting, assemble
 
 MAX_MODES_SHOWN = 8
@@ -31,6 +32,7 @@ SHAFT_WORDS = {
 def check(output: Output, path: Path) -> None:
     rig = load_rig(path)
     check_laws(rig, path)
+    check_signals(rig)
     remarks = _remarks(rig) + overwritten()
     notes = [f"note: {text}" for text in remarks]
     value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}

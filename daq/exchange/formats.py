@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -37,6 +38,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
     Raises LogError for a file that is missing, of an unknown ending, or not what its ending says; ConfigError where a
     library is not installed.
     """
+    if path.is_dir():
+        raise LogError(f"{path}: is a folder; give a file in it")
     reader = READER_OF_SUFFIX.get(path.suffix.lower())
     if path.suffix.lower() == ".mcap":
         raise LogError(f"{path}: is a log by its ending: it is read as it is, by fit, diagnose, info and the others")
@@ -49,6 +52,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
         raise LogError(f"{path}: {what}; {remedy}known are {known}")
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
+    if not os.access(path, os.R_OK):
+        raise LogError(f"{path}: no permission to read it; ask its owner to let you")
     try:
         with bounded_memory(path.stat().st_size) as bound:
             if reader is read_wav or not aliases:
@@ -198,6 +203,8 @@ REMEDY_OF_SUFFIX = {
     ".xlsx": _SHEET_REMEDY,
     ".xls": _SHEET_REMEDY,
     ".ods": _SHEET_REMEDY,
+    ".zip": "unpack it, and give the file that is in it; ",
+    ".gz": "unpack it first; ",
     ".dat": "if it is a table of text, name it .csv; ",
     ".trc": "a PCAN trace: convert it to .asc with PEAK's converter, or record with candump -L into a .log; ",
 }

@@ -10,8 +10,9 @@ from collections import deque
 from pathlib import Path
 
 from daq.base.console import unfinished
+from daq.base.console.file_kinds import another_ending
 from daq.base.console.stop import unbroken
-from daq.base.contract.errors import LogError
+from daq.base.contract.errors import ConfigError, LogError, no_folder
 
 from .place import being_written, emptied, free_name, locked, made, moved_aside, no_file, opened, refused, unlock
 
@@ -25,10 +26,13 @@ class LogFile:
 
     What lay at `path` comes back if nothing is kept. A measurement, or what is no log, is kept for good: see `kept`.
     whole : the file gets its name only when it is kept, so that nobody ever finds half of it there.
-    Looks like a binary stream to the MCAP writer. One thread. Raises LogError if the place is not to be had.
+    Looks like a binary stream to the MCAP writer. One thread. Raises LogError if the place is not to be had, and
+    ConfigError for a name that is of another kind of file.
     """
 
     def __init__(self, path: Path, whole: bool = False) -> None:
+        if said := another_ending(path):
+            raise ConfigError(f"{path}: {said}")
         if path.is_fifo() or path.is_socket():  # /dev/stdout, too: before what it points to gets another name
             raise no_file(path)
         try:
@@ -207,6 +211,8 @@ class LogFile:
 
 
 def _not_to_be_had(path: Path, error: OSError) -> LogError:
+    if folder := no_folder(path):
+        return LogError(f"cannot write the log {path}: {folder}")
     return LogError(f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.console.file_kinds import other_kind
+from daq.base.console.file_kinds import content, other_kind
 from daq.base.console.memory import roomy
 from daq.base.contract.errors import LogError
 from daq.base.contract.part import WHOLE_RECORD, Part, beyond
@@ -325,6 +325,8 @@ def _recording(path: Path, part: Part, findings: Findings, of: Span | None, max_
         raise LogError(f"{path}: is being written, and holds nothing yet; try again when samples have come")
     if said.info is None:
         if what := other_kind(path):
+            raise LogError(f"{path}: {what}")
+        if what := content(path):
             raise LogError(f"{path}: {what}")
         what = "nothing in it is intact" if findings.damage else "it holds no session"
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")

@@ -75,6 +75,8 @@ def scan(path: Path, findings: Findings, at: int = 0) -> Iterator[list[Message]]
             yield from _scan(file, findings.size, findings, checksum, at)
     except IsADirectoryError as error:
         raise LogError(f"{path}: is a folder; give a log in it") from error
+    except PermissionError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}; ask its owner to let you read it") from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
 

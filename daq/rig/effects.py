@@ -34,7 +34,8 @@ def at_places(
         hits = [p for p in possible if place in (p, p.split(".")[0], "both", "all") or place.split(".")[0] == p]
         if not hits:
             known = dict.fromkeys([p.split(".")[0] for p in possible] + list(possible))
-            wrong.append(f'it cannot act at "{item}"; {did_you_mean(item, known, "there are")}')
+            otherwise = "there is" if len(known) == 1 else "there are"
+            wrong.append(f'it cannot act at "{item}"; {did_you_mean(item, known, otherwise)}')
         found += hits
     return tuple(p for p in possible if p in found), wrong
 

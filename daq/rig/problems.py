@@ -97,6 +97,8 @@ def _text(e: Any, table: type[BaseModel], loc: Path) -> str:
         return "is missing; add it"
     if kind == "literal_error":
         allowed = re.findall(r"'([^']*)'", e["ctx"]["expected"]) or [e["ctx"]["expected"]]
+        if len(allowed) == 1:
+            return f"{_toml(given)} is not {allowed[0]}, the only value that is known"
         near = _nearest(str(given), allowed)
         return f"{_toml(given)} is not one of {', '.join(allowed)}" + (f"; {near}" if near else "")
     if kind in ("model_type", "model_attributes_type", "dict_type"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from daq.base.console.file_kinds import is_log
 from daq.base.contract.errors import ConfigError
 from estimator.effects import NAMED
 from estimator.model import (
@@ -37,6 +39,7 @@ from .rig_table import RigTable, name_problems
 from .rotor_table import RotorError, attachment, check_directions, read_matrices, rotor_of_table
 from .units import SI_UNIT, factor
 
+_DECIMAL_COMMA = re.compile(r"^\s*[\w.-]+\s*=\s*([-+]?\d+,\d+)\s*(?:#.*)?$")
 MAX_CHARACTERS, MAX_DOTS = 200_000, 100  # characters of a file; dots in a line
 
 
@@ -155,6 +158,10 @@ def _toml(text: str, where: str) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError(f"{where}: lists or tables nested too deeply; a rig file needs a few levels") from error
     except ValueError as error:  # of TOML, or a whole number of thousands of digits
+        for number, line in enumerate(text.splitlines(), 1):
+            if comma := _DECIMAL_COMMA.match(line):
+                point = comma[1].replace(",", ".")
+                raise ConfigError(f"{where}:{number}: {comma[1]}: a decimal comma; write {point}") from error
         raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
 
 
@@ -190,9 +197,19 @@ def load_rig(path: str | Path) -> Rig:
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such rig file; check the path, or make one: rotorscope init") from error
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a UTF-8 text"
-        raise ConfigError(f"{path}: cannot be read as a rig file: {reason}; give a TOML file") from error
+        raise ConfigError(f"{path}: {_not_read(path, error)}") from error
     return Rig.parse(text, path.parent, path, str(path))
+
+
+def _not_read(path: Path, error: OSError | UnicodeDecodeError) -> str:
+    """Why a file is no rig file, and what to do."""
+    if isinstance(error, PermissionError):
+        return f"cannot be read: {error.strerror}; ask its owner to let you read it"
+    if isinstance(error, OSError):
+        return f"cannot be read as a rig file: {error.strerror}; give a TOML file"
+    if is_log(path):
+        return "is a log (.mcap) and no rig file; give the rig file (TOML) here, and the log where LOG stands"
+    return "cannot be read as a rig file: not a UTF-8 text; give a TOML file, or save it as UTF-8 if it is one"
 
 
 def check_laws(rig: Rig, path: Path) -> None:

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from daq.base.contract.errors import ConfigError
 from daq.rig.in_si import InSI
+from daq.rig.problems import Problem, line_numbers
 from daq.rig.rig import Rig
 from drivers.contract import CaptureConfig, Driver, LinkError, ReplayConfig, SerialConfig, VirtualConfig
+from drivers.foreign import find_signals, load_dbc
 from drivers.links import make_driver, parse_link
 from drivers.protocol import Expected
 
@@ -53,6 +55,37 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
     return driver if signals is None else InSI(driver, rig.file.channel)
 
 
+def check_signals(rig: Rig) -> None:
+    """Raises ConfigError, with a line for each signal of [link.signals] that the DBC of the rig file does not have.
+
+    Without `dbc` in the file nothing is looked at: the link may name one, or the device brings its own.
+    """
+    signals = rig.link.signals
+    if not signals or rig.dbc is None:
+        return
+    try:
+        database = load_dbc(_dbc(rig.dbc))
+    except LinkError as error:
+        raise ConfigError(f"{rig.dbc}: {error}") from error
+    problems = []
+    taken: dict[str, str] = {}
+    for channel in rig.units:
+        path = ("link", "signals", channel)
+        if channel not in signals:
+            problems.append(Problem(path[:2], f'no signal for {channel}; add {channel} = "MESSAGE.SIGNAL"'))
+            continue
+        if other := taken.get(signals[channel]):
+            problems.append(Problem(path, f'"{signals[channel]}" is the signal of {other} already; correct one'))
+        taken.setdefault(signals[channel], channel)
+        try:
+            find_signals(database, channel, signals[channel])
+        except LinkError as error:
+            problems.append(Problem(path, str(error)))
+    if problems:
+        lines = line_numbers(rig.text)
+        raise ConfigError("\n".join(problem.line(str(rig.path), lines) for problem in problems))
+
+
 def _without_dbc(url: str) -> tuple[str, str | None]:
     found = _DBC_OPTION.search(url)
     if found is None:
@@ -75,4 +108,4 @@ def _dbc(path: Path | None) -> bytes:
         raise ConfigError(f"{text}; correct dbc in the rig file, or add ?dbc=FILE to the link") from error
 
 
-__all__ = ["LinkError", "open_driver"]
+__all__ = ["LinkError", "check_signals", "open_driver"]

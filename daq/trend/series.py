@@ -149,6 +149,8 @@ def trend_folder(folder: Path) -> Path:
     for place in (folder / TREND_FOLDER, folder):
         if place.is_dir() and (days_of(place, DAY_SUFFIX) or days_of(place, STREAM_SUFFIX)):
             return place
+    if not folder.exists():
+        raise LogError(f"{folder}: there is no such folder; check the path")
     text = "holds no trend; give a folder of `rotorscope run --segment`, or the results of `batch`"
     if any(folder.glob("*.mcap")):
         text = "holds no trend yet: it begins with the first severity or estimate of `rotorscope run`, after about 10 s"

@@ -1,7 +1,7 @@
 """Devices of others by a DBC, and recorded CAN traffic."""
 
 from .capture_files import CAPTURE_SUFFIXES
-from .dbc import load_dbc
+from .dbc import find_signals, load_dbc
 from .mapped import MappedDecoder
 
-__all__ = ["CAPTURE_SUFFIXES", "MappedDecoder", "load_dbc"]
+__all__ = ["CAPTURE_SUFFIXES", "MappedDecoder", "find_signals", "load_dbc"]

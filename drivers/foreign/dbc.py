@@ -19,6 +19,7 @@ _BIT_TIMING = re.compile(r"^[ \t]*BS_[ \t]*:[^\r\n]*", re.MULTILINE)
 _QUOTED_QUOTE = re.compile(r'\\"')
 _HEX_NAME = re.compile(r"0x([0-9a-fA-F]{1,8})")
 _EXTENDED_BIT = 0x8000_0000
+_NAMES_SHOWN = 8  # of a DBC, where one is not there
 _MIN_MEASURED_BITS = 8  # a shorter signal is a list of states, whose last code is one of them
 _NO_VALUE = re.compile(
     r"sna|n/?a|nan|not? ?avail\w*|invalid\w*|not ?valid|err(or)?\w*|fault\w*|fail\w*|undef\w*|un(available|known)"
@@ -106,8 +107,9 @@ def _message(database: Database, name: str, signal_name: str, where: str) -> Any
 
 
 def _near(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name, known, 1)
-    return f"; did you mean {close[0]!r}?" if close else f"; it has {', '.join(known[:8])}"
+    close = difflib.get_close_matches(name, known, 1) or [k for k in known if name.lower() in k.lower()]
+    more = f" and {len(known) - _NAMES_SHOWN} more" if len(known) > _NAMES_SHOWN else ""
+    return f"; did you mean {close[0]!r}?" if close else f"; it has {', '.join(known[:_NAMES_SHOWN])}{more}"
 
 
 def no_value_codes(signal: Any) -> dict[int, str]:

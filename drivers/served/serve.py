@@ -168,7 +168,8 @@ class TcpEnd:
         try:
             self._listener = socket.create_server((host, parts.port or 0))
         except (OSError, ValueError) as error:
-            raise LinkOpenError(f"{target}: cannot listen there ({error}): choose another port, or 0") from error
+            reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error
+            raise LinkOpenError(f"{target}: cannot listen there: {reason}: choose another port, or 0") from error
         self._listener.setblocking(False)
         self.address = f"socket://{host}:{self._listener.getsockname()[1]}"
         self.readers: list[TcpReader] = []

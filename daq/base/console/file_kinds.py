@@ -15,6 +15,38 @@ NO_RECORDS = {
     ".dbc": "is a DBC by its ending, and no log: rotorscope init --from {} makes a rig file of it",
 }
 
+OTHER_RESULTS = (".toml", ".dbc", ".rrd", ".html", ".json")  # endings of what other options write
+CONTENT_OF_MAGIC = {
+    b"PK\x03\x04": "is a ZIP archive: unpack it, and give the file that is in it",
+    b"\x1f\x8b": "is compressed with gzip: unpack it first",
+}
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file that can be read begins as a log."""
+    return _head(path) == LOG_MAGIC
+
+
+def content(path: Path) -> str:
+    """What a readable file, that is given as a log, is by its first bytes; "" where they say nothing."""
+    head = _head(path)
+    if not head:
+        return "is empty: check that it is the right file, and whole"
+    return next((said for magic, said in CONTENT_OF_MAGIC.items() if head.startswith(magic)), "")
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(len(LOG_MAGIC))
+
+
+def another_ending(path: Path) -> str:
+    """What is wrong with the name of a log to be written, whose ending is that of another kind; "" if nothing is."""
+    suffix = path.suffix.lower()
+    if suffix not in (*IMPORTED_SUFFIXES, *OTHER_RESULTS):
+        return ""
+    return f'a log is no file that ends in "{path.suffix}"; choose a name that ends in .mcap'
+
 
 def other_kind(path: Path) -> str:
     """What a file that is given in place of a log is by its ending, and the command that takes it; "" if not known."""

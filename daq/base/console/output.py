@@ -15,7 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
-from daq.base.contract.errors import ConfigError, not_written
+from daq.base.contract.errors import ConfigError, no_folder, not_written
 
 from . import unfinished
 from .file_kinds import IMPORTED_SUFFIXES, LOG_MAGIC
@@ -209,6 +209,18 @@ def spare(path: Path, *others: str) -> None:
     with contextlib.suppress(OSError), path.open("rb") as file:
         if path.suffix.lower() in kept or file.read(len(LOG_MAGIC)) == LOG_MAGIC:
             raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")
+
+
+def check_place(option: str, path: Path) -> None:
+    """Of a result that will take its time. Raises ConfigError where it could not be written."""
+    if folder := no_folder(path):
+        raise ConfigError(f"{option} {path}: {folder}")
+    if path.is_dir():
+        raise ConfigError(f"{option} {path}: is a folder; give the name of a file")
+    place = path if path.exists() else path.absolute().parent
+    if not os.access(place, os.W_OK):
+        text = "no permission to write there; choose another place"
+        raise ConfigError(f"{option} {path}: {text}")
 
 
 def write_whole(path: Path, data: str | bytes) -> None:

@@ -33,9 +33,16 @@ class LogError(RotorscopeError):
 
 def not_written(path: Path, error: OSError) -> RotorscopeError:
     """Of a disk that takes no more, or of a place that is none."""
+    if folder := no_folder(path):
+        return ConfigError(f"{path}: cannot be written: {folder}")
     if error.errno in DISK_FULL_ERRNOS:
         return LogError(f"{path}: cannot be written: {error.strerror}; make room, or choose another place")
     return ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place")
+
+
+def no_folder(path: Path) -> str:
+    """What to do where the folder of a file to be written is not there; "" where it is."""
+    return "" if path.absolute().parent.exists() else f"folder {path.parent} does not exist; create it first"
 
 
 def exit_status(error: Exception) -> int | None:

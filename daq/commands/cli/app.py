@@ -111,6 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(OSError):
             to_nowhere(sys.stdout)
         return 0
+    except SystemExit as error:  # of the help's printer, where nobody reads on
+        if isinstance(error.__context__, BrokenPipeError):
+            return 0
+        raise
     except Exception as error:
         if _interrupted(error):
             return _failed("interrupted", INTERRUPTED_STATUS, verbose=False)

@@ -21,7 +21,9 @@ def batch(
         typer.Argument(metavar="PATTERN...", help="Logs: paths or URLs with *, ** and named fields, in quotes."),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the tables; a second call goes on.")],
-    rig: Annotated[Path | None, typer.Option("--rig", metavar="RIG", help="Rig file of all logs.")] = None,
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG", readable=False, help="Rig file of all logs.")
+    ] = None,
     rig_of: Annotated[
         str | None,
         typer.Option("--rig-of", metavar="PATTERN", help="Rig file of each log, such as 'rigs/{machine}.toml'."),

@@ -11,7 +11,7 @@ from daq.base.console.stop import all_or_nothing
 
 from .options import Json, Output, Part, Quiet, RigOption, Verbose, of_a_part, switch
 
-Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", readable=False, help="A log (.mcap).")]
 
 
 @of_a_part
@@ -20,6 +20,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
+            readable=False,
             help=".npz .csv .mat .mf4 .uff .wav .lvm .tdms .h5 .parquet, or, with a DBC, .log .blf .asc (?bus=N).",
         ),
     ],

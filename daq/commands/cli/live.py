@@ -152,10 +152,13 @@ def simulate(
 
 @of_a_part
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG.mcap|DIR", help="A log, or a folder of segments.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG.mcap|DIR", readable=False, help="A log, or a folder of segments.")
+    ],
     speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="Times real time.")] = "max",
     rig: Annotated[
-        Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")
+        Path | None,
+        typer.Option("--rig", metavar="RIG", readable=False, help="Another rig file than the one in the log."),
     ] = None,
     check: Annotated[
         bool,

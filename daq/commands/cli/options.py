@@ -24,10 +24,12 @@ Json = Annotated[
 ]
 Quiet = Annotated[bool, switch("--quiet", "-q", help="Only errors.")]
 Verbose = Annotated[bool, switch("--verbose", "-v", help="More detail, and tracebacks of errors.")]
-RigArgument = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (TOML).")]
-RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG", help="Rig file (TOML).")]
+# Of what is to be read: who reads it says why it cannot be, and what to do.
+RigArgument = Annotated[Path, typer.Argument(metavar="RIG", readable=False, help="Rig file (TOML).")]
+RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG", readable=False, help="Rig file (TOML).")]
 LogArgument = Annotated[
-    Path, typer.Argument(metavar="LOG", help="Log (.mcap), or a file that `rotorscope import` reads.")
+    Path,
+    typer.Argument(metavar="LOG", readable=False, help="Log (.mcap), or a file that `rotorscope import` reads."),
 ]
 HtmlOption = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a self-contained report page.")]
 

@@ -7,9 +7,8 @@ from typing import Any
 
 from daq.base.console.extras import check_installed
 from daq.base.console.fitting import FittingTable
-from daq.base.console.output import Output, spare
+from daq.base.console.output import Output, check_place, spare
 from daq.base.contract.dates import utc_text
-from daq.base.contract.errors import ConfigError
 from daq.trend.page.charts import charts
 from daq.trend.page.words import TREND_HEADINGS, rows, what_happened
 from daq.trend.series import MAX_POINTS, Trend, read_trend
@@ -22,8 +21,7 @@ def trend(
     check_installed(("pyarrow",), "formats", "trend")
     if html is not None:
         check_installed(("jinja2",), "report", "--html")
-        if not html.absolute().parent.is_dir():
-            raise ConfigError(f"--html {html}: folder {html.parent} does not exist; create it first")
+        check_place("--html", html)
         spare(html, ".toml")
     if rerun is not None:
         check_installed(("rerun",), "", "--rerun")

@@ -64,6 +64,8 @@ def _of_example(path: Path, out: Path) -> tuple[str, list[str]]:
 
 
 def _of_file(output: Output, source: Path, out: Path) -> tuple[str, list[str]]:
+    if source.is_dir():
+        raise ConfigError(f"--from {source}: is a folder; give a file in it")
     if not source.is_file():
         raise ConfigError(f"--from {source}: there is no such file; check the path")
     if source.suffix.lower() == ".dbc":

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from daq.base.console.output import check_place
 from daq.base.contract.errors import ConfigError
 
 from .view import ViewSession
@@ -37,9 +38,8 @@ def viewer_target(text: str) -> str:
         if url.scheme in ("rerun", "rerun+http", "rerun+https") and url.hostname:
             return text if url.path.strip("/") else f"{url.scheme}://{url.netloc}/proxy"
     elif text.endswith(".rrd"):
-        if Path(text).absolute().parent.is_dir():
-            return text
-        raise ConfigError(f"--rerun {text}: folder {Path(text).parent} does not exist; create it first")
+        check_place("--rerun", Path(text))
+        return text
     raise ConfigError(f"--rerun {text}: give a file ending in .rrd, spawn, or rerun+http://HOST:{VIEWER_PORT}/proxy")
 
 
