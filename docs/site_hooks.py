@@ -6,6 +6,8 @@ import re
 from typing import Any
 
 INLINE_CODE = re.compile(r"(?<!<pre>)(?<!</span>)<code>([^<]*)</code>")
+BLOCK_OF_CODE = re.compile(r"<pre><code>[^<]*</code></pre>")
+OPTION = re.compile(r"(?<!\S)-\S{1,24}(?!\S)")
 SHORT_WORD = re.compile(r"(?<!\S)\S{2,24}(?!\S)")  # of which a table may break one in a narrow cell
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./)+[^)]*\)")
 
@@ -16,13 +18,14 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """The page whose inline code has whole words, and a pipe where a table asks for an escaped one."""
+    """The page whose inline code has whole words, its blocks whole options, and a table a pipe for an escaped one."""
 
     def shown(found: re.Match[str]) -> str:
         text = found[1].replace("\\|", "|")
         return f"<code>{SHORT_WORD.sub(_whole, text)}</code>"
 
-    return INLINE_CODE.sub(shown, html)
+    html = INLINE_CODE.sub(shown, html)
+    return BLOCK_OF_CODE.sub(lambda found: OPTION.sub(_whole, found[0]), html)
 
 
 def _whole(word: re.Match[str]) -> str:

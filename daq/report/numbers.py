@@ -40,7 +40,7 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -3 <= exponent <= 4:
-        return f"{value:.{max(0, digits - 1 - exponent)}f}"
+        return f"{float(f'{value:.{digits - 1}e}'):.{max(0, digits - 1 - exponent)}f}"
     return power(f"{value / 10.0**exponent:.{digits - 1}f}", exponent)
 
 

@@ -58,7 +58,7 @@ def test_the_whole_story_is_on_the_page() -> None:
     page = Page(story())
     assert page.tags.count("svg") == 8
     for text in (
-        "from 12 % to 0.6 %", "can be seen from",
+        "from 12\N{NO-BREAK SPACE}% to 0.6\N{NO-BREAK SPACE}%", "can be seen from",
         "200 kN/m", "linear + cubic + clearance", "clearance", "stop", "run.mcap", "not identifiable",
         "|x| > 40 nm", "residual force, mN", "frequency, Hz", "displacement, nm", "10.300 ± 0.078 MN/m",
         "near full scale", "What was missing", "What is left", "What to check on the machine", "improvement stops here",
@@ -157,6 +157,7 @@ def test_numbers_read_well() -> None:
     assert interval(1.3e18, 0.06e18) == "(1.30 ± 0.12) × 10¹⁸"
     assert interval(60.0, 1.0) == "60.0 ± 2.0"
     assert number(2.813e5) == "2.81 × 10⁵"
+    assert (number(31365.0, 2), number(25600.0), number(-62.5, 2)) == ("31000", "25600", "-62")
     assert unit_text("N/m^3") == "N/m³"
     assert unit_text("N^2/Hz") == "N²/Hz"
     assert unit_text("N/m^1.5") == "N/m¹·⁵"
