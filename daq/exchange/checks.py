@@ -99,7 +99,7 @@ def checked(
         raise LogError(f"{path}: {lengths[names[0]]} samples; there is nothing to import")
     rate, rows = _rate(path, columns, rate_hz, lengths[names[0]], rig, gaps, note)
     if rig.model.band[1] >= rate / 2:
-        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {rate:g} Hz"
+        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below {rate / 2:g} Hz, half the sampling rate"
         unsure = "" if columns.time_unit_said else ', or whether its time is in s (write "time [ms]" if it is not)'
         raise LogError(f"{path}: {text}; lower band.high, or check the rate{unsure}")
     if columns.odd:

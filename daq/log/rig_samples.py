@@ -44,9 +44,8 @@ def rig_samples(
     if abs(log.rate_hz / expected_hz - 1) > RATE_TOLERANCE_REL:
         note(f"{log.path}: {log.rate_hz:g} Hz, where the rig file expects {expected_hz:g} Hz; the log's rate is used")
     if rig.model.band[1] >= log.rate_hz / 2:
-        text = (
-            f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {log.rate_hz:g} Hz"
-        )
+        half_hz = log.rate_hz / 2
+        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below {half_hz:g} Hz, half the sampling rate"
         raise LogError(f"{log.path}: {text}; lower band.high")
     return y, {c.name: int(n) for c, n in zip(rig.model.channels, clipped, strict=True) if n}
 
