@@ -157,7 +157,7 @@ def _judged_by_rule(
     context = Context(model=model, point=point, y=y, survey=survey, say=say)
     tones = [e for e in entries if _is_tone(e)]
     entries = _judged_entries([e for e in entries if e.effect not in refused and e not in tones], context)
-    named = [e for e in entries if e.passed and not is_overshadowed(e, entries)]
+    named = [e for e in entries if e.passed and not (e.placed and is_overshadowed(e, entries))]
     if named and (better := better_predicting(entries, named[0], context)) is not None:
         named.insert(0, better)
     if (least_nats := least_of_mistake_nats(named)) is not None:
@@ -170,6 +170,8 @@ def _judged_by_rule(
     shaped = context.fitted(named[0]).whole
     if shaped is not None and (law := _law_beside(shaped, named[0], y, say, refused)) is not None:
         return law
+    if not named[0].placed and is_overshadowed(named[0], entries):
+        return _unknown(context, entries)
     ranking = (*named, *(e for e in entries if e not in named))
     ahead = [_leaves_message(e) for e in entries[: entries.index(named[0])] if share_left(e) is not None]
     notes = _more_missing(named[0]) if named[0].placed else named[0].notes
