@@ -159,7 +159,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
 def _not_judged(value: Mapping[str, Any]) -> str:
     """Why nothing is named, where the bearings are not judged; else ""."""
     why = message_text(value, {NOT_JUDGED})
-    return f"channels, tones and strikes show no fault, and {why}" if why else ""
+    return f"channels, tones and strikes name no fault, and {why}" if why else ""
 
 
 def _p(value: float) -> str:

@@ -97,13 +97,15 @@ def signal_use(model: Model, entry: Entry) -> EffectUse:
 def strike_entries(model: Model, machine: MachineSurvey) -> list[Entry]:
     """Candidates for a defect of the bearing, clearest first: significant strike trains at a kinematic order.
 
-    Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft. A model
+    Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft; where the
+    speed is unknown, none. A model
     with the varying compliance of the ball passes modulates the vibration at BPFO itself.
     """
     known = {BALL_PASS_NAME} if any(use.name == BALL_PASS.name for use in model.effects) else set()
     out = []
     for train in machine.strikes:
         named = (train.name != NO_KINEMATIC_NAME or model.bearing is None) and train.name not in known
+        named = named and train.order is not None
         if train.p_value <= MACHINE_THRESHOLDS.max_p_value and named and not is_whole_order(train):
             out.append(_strike_entry(model, machine, train))
     return out

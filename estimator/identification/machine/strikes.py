@@ -102,19 +102,16 @@ def find_strikes(
     """Strike trains in some channels, clearest first, and remarks.
 
     y : (n, channels) SI, NaN where missing. columns : channel -> its column. bank : of the envelope spectra.
+    Without a speed a train has no order and no name.
     """
-    if speed is None:
-        text = "strike trains are not looked for: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
-        return [], [Message(NO_SPEED_NO_STRIKES, text)]
     angle = tacho_angle(model, y, rate_hz)
-    if angle is not None:
+    if angle is not None and speed is not None:
         speed = replace(speed, wander_rel=0.0)
-    known = speed
-    kinds = kinematics_of(model)
+    kinds = [] if speed is None else kinematics_of(model)
 
     def searched(name: str) -> _ChannelSearch:
         return _channel_search(
-            name, Pieces(y[:, columns[name]], rate_hz, LIMITS.max_envelope_piece_s), known, kinds, bank, angle
+            name, Pieces(y[:, columns[name]], rate_hz, LIMITS.max_envelope_piece_s), speed, kinds, bank, angle
         )
 
     found = map_threads(searched, columns)
@@ -122,20 +119,25 @@ def find_strikes(
     limit = float(np.log(LIMITS.max_false_train_chance))
     trials = _named(found, kinds)
     log_paid = log_tables + float(np.log(max(len(kinds), 1)))
-    certain = [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
-    if certain:
+    certain = [] if speed is None else [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
+    if certain and speed is not None:
         return _reported(_ranked(certain, speed), speed, log_paid)
     free = clearest([own.free for own in found])
     if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
         return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)
+    if speed is None:
+        text = "no defect of a bearing is named: the speed of the shaft is unknown (speed_rpm or a tacho channel)"
+        return [], [Message(NO_SPEED_NO_STRIKES, text)]
     return [], []
 
 
-def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
+def _avoided(speed: ShaftSpeed | None) -> tuple[Array, Array]:
     """Frequencies (Hz) at which an envelope has lines without a defect, and their standard deviations."""
+    mains = np.unique(np.outer(LIMITS.mains_hz, np.arange(1, LIMITS.max_envelope_mains_multiple + 1)))
+    if speed is None:
+        return mains, LIMITS.mains_tolerance_rel * mains
     k = np.arange(1, int(LIMITS.highest_order) + 3)
     sd_hz = float(np.hypot(speed.sd_hz, LIMITS.wander_reach_sds * speed.wander_rel * speed.hz))
-    mains = np.unique(np.outer(LIMITS.mains_hz, np.arange(1, LIMITS.max_envelope_mains_multiple + 1)))
     hz = np.concatenate([k * speed.hz, mains])
     return hz, np.concatenate([k * sd_hz, LIMITS.mains_tolerance_rel * mains])
 
@@ -143,22 +145,24 @@ def _avoided(speed: ShaftSpeed) -> tuple[Array, Array]:
 def _channel_search(
     channel: str,
     pieces: Pieces,
-    speed: ShaftSpeed,
+    speed: ShaftSpeed | None,
     kinds: Sequence[Kinematic],
     bank: tuple[int, ...],
     angle: Array | None,
 ) -> _ChannelSearch:
     """The search in the envelope spectra of one channel; of their tables only those of the clearest combs are kept."""
     out = _ChannelSearch(named=[None] * len(kinds))
-    spectra = envelope_spectra(pieces, LIMITS.highest_order * speed.hz, LIMITS.level_turns / speed.hz, bank, angle)
+    turn_hz = LIMITS.unknown_shaft_hz if speed is None else speed.hz
+    spectra = envelope_spectra(pieces, LIMITS.highest_order * turn_hz, LIMITS.level_turns / turn_hz, bank, angle)
     longest = max((spectrum.power.size for spectrum in spectra), default=0)
     avoided = AvoidedLines(*_avoided(speed), pieces.seconds, longest)
     for table in (table for spectrum in spectra for table in line_tables(channel, spectrum, avoided)):
         out.tables += 1
         if table is None:
             continue
-        combs = (_comb_of_kind(table, kind, speed) for kind in kinds)
-        out.named = [clearest([best, comb]) for best, comb in zip(out.named, combs, strict=True)]
+        if speed is not None:
+            combs = (_comb_of_kind(table, kind, speed) for kind in kinds)
+            out.named = [clearest([best, comb]) for best, comb in zip(out.named, combs, strict=True)]
         out.free = clearest([out.free, _free_comb(table, speed)])
     return out
 
@@ -232,40 +236,47 @@ def _explained(comb: Comb, table: LineTable) -> float:
     return float(np.sum(depths**2))
 
 
-def _free_comb(table: LineTable, speed: ShaftSpeed) -> Comb | None:
-    """The clearest comb of one table at any order."""
-    low, high = LIMITS.min_free_order * speed.hz, LIMITS.max_free_order * speed.hz
+def _free_comb(table: LineTable, speed: ShaftSpeed | None) -> Comb | None:
+    """The clearest comb of one table at any order; without a speed at any frequency."""
+    turn_hz = LIMITS.unknown_shaft_hz if speed is None else speed.hz
+    low, high = LIMITS.min_free_order * turn_hz, LIMITS.max_free_order * turn_hz
     peaks = clear_peaks(table, low, len(LIMITS.free_divisors) * high, LIMITS.free_peaks)
     starts = np.unique(np.concatenate([peaks / q for q in LIMITS.free_divisors]))
-    whole = np.maximum(np.rint(starts / speed.hz), 1.0) * speed.hz
-    near = np.abs(starts - whole) < LIMITS.min_free_distance_rel * whole + 1.0 / table.spectrum.seconds
-    starts = starts[(starts >= low) & (starts <= high) & ~near]
+    starts = starts[(starts >= low) & (starts <= high)]
+    if speed is not None:
+        whole = np.maximum(np.rint(starts / turn_hz), 1.0) * turn_hz
+        near = np.abs(starts - whole) < LIMITS.min_free_distance_rel * whole + 1.0 / table.spectrum.seconds
+        starts = starts[~near]
     searched = LIMITS.grid_per_bin * LIMITS.harmonic_counts[-1] * (high - low) * table.spectrum.seconds / table.width
     return best_comb(table, starts, searched=searched)
 
 
 def _reported(
-    ranked: Sequence[tuple[Verdict, float]], speed: ShaftSpeed, log_paid: float
+    ranked: Sequence[tuple[Verdict, float]], speed: ShaftSpeed | None, log_paid: float
 ) -> tuple[list[StrikeTrain], list[Message]]:
     """The train of the likeliest hypothesis, and what else it may be. ranked : hypotheses with their shares."""
     first, share = ranked[0]
     hz = refined_fundamental(first.comb)
     numbers, depths = clear_harmonics(first.comb)
-    order, name, table = hz / speed.hz, first.kind.name, first.comb.table
+    order, name, table = None if speed is None else hz / speed.hz, first.kind.name, first.comb.table
+    where = f"{hz:.2f} Hz" if order is None else f"{order:.3f} x shaft speed"
     if numbers[0] == 1 and depths[1:].max(initial=0.0) < LIMITS.min_strike_harmonic_rel * depths[0]:
-        text = f"the vibration is modulated at {order:.3f} x shaft speed ({name}), too smoothly for strikes"
+        text = f"the vibration is modulated at {where} ({name}), too smoothly for strikes"
         return [], [Message(MODULATION_AT_ORDER, text)]
     train = StrikeTrain(
         name=name,
         order=order,
         frequency_hz=hz,
-        slip_percent=100 * (order / first.kind.order - 1) if first.kind.order else None,
+        slip_percent=100 * (order / first.kind.order - 1) if order is not None and first.kind.order else None,
         channel=table.channel,
         band_hz=table.spectrum.band_hz,
         p_value=float(np.exp(np.clip(first.comb.log_p + log_paid, -690.0, 0.0))),
         severity=float(np.sqrt(0.5 * np.sum(depths**2))),
         harmonics=int(numbers.size),
     )
+    if speed is None:
+        text = f"impacts repeat at {where} in {table.channel}: speed_rpm tells a bearing from the shaft or a gear"
+        return [train], [Message("strikes_without_speed", text)]
     rivals = [
         f"{v.kind.name} ({v.comb.hz / speed.hz:.3f} x shaft speed)"
         for v, own in ranked[1:]
@@ -273,5 +284,5 @@ def _reported(
     ]
     if not rivals:
         return [train], []
-    text = f"strikes at {order:.3f} x shaft speed: {name} or {' or '.join(rivals)}; the record does not tell them apart"
+    text = f"strikes at {where}: {name} or {' or '.join(rivals)}; the record does not tell them apart"
     return [train], [Message(STRIKES_AMBIGUOUS, text)]

@@ -9,7 +9,7 @@ from estimator.results import Message
 
 from .machine_survey import MachineSurvey, Tone
 from .spectra import channel_spectra
-from .speed import rate_remarks, shaft_speed
+from .speed import SPEED_SUGGESTED, rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
 from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
@@ -52,6 +52,8 @@ def survey_machine(
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     bank = LIMITS.live_bands_per_rate if live else LIMITS.bands_per_rate
     strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed, bank)
+    if speed is None and strikes:  # their comb is not that of the shaft
+        remarks = [remark for remark in remarks if remark.code != SPEED_SUGGESTED]
     lines = significant_lines(spectra)
     if speed is not None:
         remarks = rate_remarks(lines, speed, model.speed_rpm, remarks)

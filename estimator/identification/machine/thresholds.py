@@ -75,6 +75,7 @@ class Thresholds:
     grid_per_bin: float = 2.0  # trial positions of the highest harmonic in a bin
     min_free_order: float = 0.3  # of a train that has no kinematic name
     max_free_order: float = 12.0  # of that train
+    unknown_shaft_hz: float = 30.0  # in place of a speed that is not known: motors of two pairs of poles turn near it
     free_peaks: int = 30  # lines that a free search starts from
     free_divisors: tuple[int, int, int] = (1, 2, 3)  # which harmonic each of these lines may be
     highest_order: float = 45.0  # of the shaft, up to which envelopes are analysed

@@ -157,13 +157,12 @@ def without_strike_lines(
     lines: Sequence[Line], strikes: Sequence[StrikeTrain], speed: ShaftSpeed | None
 ) -> list[Line]:  # fmt: skip
     """Lines that are no harmonics of a strike train, with their sidebands at the shaft speed; orders are kept."""
-    if speed is None:
-        return list(lines)
+    turn_hz = 0.0 if speed is None else speed.hz
     return [
         line
         for line in lines
-        if shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
-        or not any(_is_of_train(line, train.frequency_hz, speed.hz) for train in strikes)
+        if (speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS)
+        or not any(_is_of_train(line, train.frequency_hz, turn_hz) for train in strikes)
     ]
 
 

@@ -145,7 +145,13 @@ def test_a_tacho_follows_a_speed_that_wanders() -> None:
     assert train.order == pytest.approx(BPFO, rel=3e-3)
 
 
-def test_without_a_speed_no_train_is_named() -> None:
-    s = survey_machine(Model(channels=MODEL.channels, band=MODEL.band, bearing=BEARING), noise(1)[:, None], RATE_HZ)
-    assert s.strikes == ()
-    assert "no_speed_no_strikes" in [m.code for m in s.messages]
+def test_without_a_speed_a_train_has_a_frequency_and_no_name() -> None:
+    rig = Model(channels=MODEL.channels, band=MODEL.band, bearing=BEARING)
+    quiet = survey_machine(rig, noise(1)[:, None], RATE_HZ)
+    assert quiet.strikes == ()
+    assert [m.code for m in quiet.messages] == ["no_speed_no_strikes"]
+    s = survey_machine(rig, (noise(3) + strikes(BPFO, 4.0, 4))[:, None], RATE_HZ)
+    (train,) = s.strikes
+    assert (train.name, train.order) == ("other", None)
+    assert train.frequency_hz == pytest.approx(BPFO * SHAFT_HZ, rel=3e-3)
+    assert [m.code for m in s.messages if m.code.startswith(("speed", "strikes"))] == ["strikes_without_speed"]
