@@ -153,13 +153,13 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     A bearing defect goes before a law of the motion: impacts make laws look right. It goes before a law of the shaft's
     angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of a
     defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
-    named only where no model of the bearings explains the record. A wrong speed or rate in the rig file is named where
-    nothing is missing, or nothing but a line has a name. Where no speed names a tone that dominates, nothing is called
-    complete.
+    named only where no model of the bearings explains the record and no impacts repeat, which have many lines. A wrong
+    speed or rate in the rig file is named where nothing is missing, or nothing but a line has a name. Where no speed
+    names a tone that dominates, nothing is called complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
-    if not bearing.judged and all(use.name != LINE.name for use in model.effects):
+    if not (bearing.judged or machine.strikes) and all(use.name != LINE.name for use in model.effects):
         signal += line_entries(model, record, machine)
     first = signal[0] if signal else None
     keeps = first is None or _keeps_its_verdict(bearing, first)

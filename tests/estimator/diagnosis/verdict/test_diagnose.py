@@ -219,6 +219,8 @@ def test_a_line_that_holds_much_of_a_channel_is_named_only_where_no_model_explai
     hum = tone(3.34, 1.0, "mains")
     assert verdict(NOT, tones=(hum,), rms=1.0).verdict == "line"
     assert verdict(NOT, tones=(hum,), rms=10.0).verdict == "unknown"
+    unnamed = replace(strikes("other", 3.585), order=None)
+    assert verdict(NOT, unnamed, tones=(hum,), rms=1.0, speed=None).verdict == "unknown", "a line of the impacts"
     assert verdict(judged("complete"), tones=(hum,), rms=1.0).verdict == "complete"
 
 
