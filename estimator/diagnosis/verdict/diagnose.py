@@ -211,8 +211,8 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
 
 def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:
     """The judgement of the bearings without the notes on what the signal overrules."""
-    overruled = {note.text for entry in bearing.ranking[:1] for note in entry.notes}
-    return replace(bearing, messages=tuple(m for m in bearing.messages if m.text not in overruled))
+    overruled = {note for entry in bearing.ranking[:1] for note in entry.notes}
+    return replace(bearing, messages=tuple(message for message in bearing.messages if message not in overruled))
 
 
 def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: bool) -> tuple[Entry, ...]:
