@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
-from scipy.signal import lfilter
 from scipy.special import ndtr
 
 MAX_PHI = 0.999  # a drift that takes longer to come back than a thousand values is not told from a change
@@ -66,6 +65,8 @@ class Baseline:
 
 def errors_of(values: Floats, phi: float, theta: float) -> Floats:
     """(n,) prediction errors of values without their mean."""
+    from scipy.signal import lfilter  # loads for half a second, and few rigs have alarms
+
     out: Floats = lfilter([1.0, -phi], [1.0, -theta], values)
     return out
 

@@ -99,6 +99,12 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_live_session_begins_without_the_slowest_library() -> None:
+    """scipy.signal took half of the start; a device that is stopped after some seconds had no log."""
+    code = "import daq.commands.live.run, sys; print('scipy.signal' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
 def test_the_stored_schema_is_the_current_one() -> None:
     stored = json.loads((ROOT / "docs" / "rig.schema.json").read_text())
     assert stored == rig_schema(), "write it anew: rotorscope schema > docs/rig.schema.json"
