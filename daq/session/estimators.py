@@ -75,17 +75,15 @@ def warm_up(make: MakeEstimator, model: Model, rate_hz: float, rows: int) -> Non
 
     It is fed noise through a resonance in the middle of the band, which any of them takes for a bearing on its spring.
     """
-    from scipy.signal import lfilter
-
     estimator = make(model, rate_hz)
     f_hz = min(float(np.sqrt(max(model.band[0], 1e-3) * model.band[1])), rate_hz / 4)
     pole = np.exp((-0.05 + 1j) * 2 * np.pi * f_hz / rate_hz)
-    shape = [1.0, -2 * pole.real, abs(pole) ** 2]
-    rng = np.random.default_rng(0)
-    state = np.zeros((2, len(model.channels)))
-    for k in range(max(1, int(LONGEST_WARM_UP_S * rate_hz / rows))):
-        drive = rng.standard_normal((rows, len(model.channels)))
-        block, state = lfilter([1.0, -2.0, 1.0], shape, drive, axis=0, zi=state)
+    blocks = max(1, int(LONGEST_WARM_UP_S * rate_hz / rows))
+    white = np.random.default_rng(0).standard_normal((blocks * rows, len(model.channels)))
+    back = np.exp(-2j * np.pi * np.fft.rfftfreq(len(white)))[:, None]  # by one sample
+    response = (1.0 - back) ** 2 / (1.0 - 2.0 * pole.real * back + abs(pole) ** 2 * back**2)
+    record = np.fft.irfft(response * np.fft.rfft(white, axis=0), len(white), axis=0)
+    for k, block in enumerate(np.split(record, blocks)):
         estimator.update(10.0 * block)
         if k % 16 == 15 and estimator.snapshot().parameters:
             return

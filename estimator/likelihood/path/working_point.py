@@ -150,7 +150,7 @@ def _forces(
                         M[:, i] += use.p[k] * unit.memory[i].T
                 continue
             f, slope, memory = law_along_record(use, data, i, lin)
-            add_to(F[i], 1.0, f)
+            F[i] += f  # add_to would be compiled once more, for float64, in the midst of a live session
             D[i] += data.over_folds(slope)
             if memory is not None:
                 M[:, i] += memory.T

@@ -222,6 +222,7 @@ def test_a_stop_does_not_wait_for_a_host_that_does_not_answer(mute_host: str, re
 def test_a_link_that_opens_after_the_stop_is_closed_again() -> None:
     class Slow(ScriptedDriver):
         def open(self) -> None:
+            stop.set()
             time.sleep(0.4)
             events.append("open")
 
@@ -230,7 +231,6 @@ def test_a_link_that_opens_after_the_stop_is_closed_again() -> None:
             super().close()
 
     events, stop = list[str](), threading.Event()
-    threading.Timer(0.1, stop.set).start()
     acquire_from(RIG, Slow([]), [], stop=stop, make=MomentEstimator)
     until(lambda: events[-2:] == ["open", "close"])
 
