@@ -257,7 +257,7 @@ def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor, limits: _Limits
     try:
         if zstandard.frame_content_size(data) != unpacked:
             return "has a damaged chunk"
-        records = unpacker.decompress(data, unpacked)
+        records = unpacker.decompress(data, unpacked, allow_extra_data=False)  # of a false length: the next chunks
     except zstandard.ZstdError:
         return "has a damaged chunk"
     return records if len(records) == unpacked and zlib.crc32(records) == crc else "has a damaged chunk"

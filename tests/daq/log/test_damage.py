@@ -132,6 +132,14 @@ def test_a_record_of_false_length_swallows_no_chunk(tmp_path: Path, whole: Bytes
     assert assert_only_truth(log) >= (len(COUNTS) - 107) * 0.8
 
 
+def test_a_chunk_of_false_packed_size_costs_itself_alone(tmp_path: Path, whole: Bytes) -> None:
+    damaged = bytearray(whole)
+    damaged[whole.index(ZSTD_SIGNATURE) + len(ZSTD_SIGNATURE) + 2] ^= 1  # 64 KiB longer
+    log = read(tmp_path / "a.mcap", bytes(damaged))
+    assert log is not None
+    assert assert_only_truth(log) >= (len(COUNTS) - 107) * 0.8
+
+
 @settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_bits_flipped(tmp_path: Path, whole: Bytes, record_property: Property, data: st.DataObject) -> None:

@@ -260,7 +260,7 @@ def test_not_a_log(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no Rotorscope log"):
         read_log(tmp_path / "text.mcap")
     (tmp_path / "empty.mcap").touch()
-    with pytest.raises(LogError, match="no Rotorscope log"):
+    with pytest.raises(LogError, match="is empty"):
         read_log(tmp_path / "empty.mcap")
     from mcap.writer import Writer
 

@@ -109,10 +109,11 @@ def test_a_measurement_is_not_overwritten(
     record_property("reliability", f"{row} | `a-1.mcap`, bit for bit, one line says so")
 
 
-def test_a_rig_file_given_as_the_log_is_kept(folder: Path) -> None:
+def test_a_rig_file_given_as_the_log_stays(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "rig.toml").read_text()
-    assert rotorscope(folder, "simulate", "rig.toml", "--seconds", "0.1", "--out", "rig.toml") == 0
-    assert (folder / "rig-1.toml").read_text() == before
+    assert rotorscope(folder, "simulate", "rig.toml", "--seconds", "0.1", "--out", "rig.toml") == 2
+    assert (folder / "rig.toml").read_text() == before
+    assert "choose a name that ends in .mcap" in capsys.readouterr().err
 
 
 def test_behind_a_symbolic_link(folder: Path) -> None:
@@ -452,7 +453,7 @@ def test_a_full_disk_is_no_mistake_of_the_users(tmp_path: Path, capsys: pytest.C
     assert rotorscope(tmp_path, "effects", "--quiet", "--json", "nowhere/e.json") == 2
     full, nowhere = capsys.readouterr().err.splitlines()
     assert "File too large; make room" in full
-    assert "No such file or directory; choose another place" in nowhere
+    assert "folder nowhere does not exist; create it first" in nowhere
     assert not list(tmp_path.iterdir())
 
 
