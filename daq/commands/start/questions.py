@@ -61,13 +61,14 @@ def _number(answer: Callable[[str], str], question: str, most: int | None = None
         if text in NOT_KNOWN:
             return None
         wanted = "is no number above 0" if most is None else f"is no whole number from 1 to {most}"
-        if re.fullmatch(r"\d{1,3}(,\d{3})+", text):
+        two_ways = re.fullmatch(r"\d{1,3}(,\d{3})+", text) is not None
+        if two_ways:
             wanted = f"can be read in two ways: type {text.replace(',', '')} or {text.replace(',', '.', 1)}"
         try:
             value = float(text.replace(",", "."))
         except ValueError:
             value = math.nan
-        if "two ways" not in wanted and 0 < value <= (most or MAX_ANSWER) and (most is None or value.is_integer()):
+        if not two_ways and 0 < value <= (most or MAX_ANSWER) and (most is None or value.is_integer()):
             return value
         again = f"{text}: {wanted}\n{question}"
 
