@@ -180,7 +180,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
         ranking=ranking,
         shape=bearing.shape if verdict == bearing.verdict else None,
         separates=bearing.separates if verdict == bearing.verdict else "",
-        messages=(*([severe] if severe else ()), *_messages(record, machine, bearing, verdict)),
+        messages=_messages(layers, bearing, verdict, severe),
         record=record,
         machine=machine,
         structure=layers.structure,
@@ -198,8 +198,10 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     law = bearing.ranking[0]
     if effect.name == first.effect:
         return have_one_order(law, first)
-    if effect.found_by != "law" or first.effect != LOCAL_DEFECT.name:
-        return effect.found_by == "law"
+    if effect.found_by != "law":
+        return False
+    if first.effect != LOCAL_DEFECT.name:
+        return True
     return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
 
 
@@ -227,13 +229,13 @@ def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: b
 
 
 def _messages(
-    record: RecordSurvey, machine: MachineSurvey, bearing: BearingJudgement, verdict: str
-) -> tuple[Message, ...]:
-    """Remarks of the layers for the user, each once, the reason of a bearing that is not judged first."""
-    said: list[Message] = []
+    layers: Layers, bearing: BearingJudgement, verdict: str, severe: Message | None
+) -> tuple[Message, ...]:  # fmt: skip
+    """Remarks of the layers for the user, each once: a severe tone first, then why a bearing is not judged."""
+    machine, said = layers.machine, [] if severe is None else [severe]
     if not bearing.judged:
         code = NOT_JUDGED if verdict == bearing.verdict else BEARING_NOT_JUDGED
         said.append(Message(code, f"the bearings cannot be judged here: {bearing.reason}"))
-    said += [*record_messages(record), *whole_order_messages(machine), *machine.messages, *bearing.messages]
+    said += [*record_messages(layers.record), *whole_order_messages(machine), *machine.messages, *bearing.messages]
     each = tuple({message.text: message for message in said}.values())
     return each[: THRESHOLDS.max_messages]

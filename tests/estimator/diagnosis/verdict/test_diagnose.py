@@ -230,17 +230,20 @@ def test_no_share_is_over_100_percent_and_no_more_than_ten_notes_are_said() -> N
     found = verdict(bearing)
     assert found.ranking[0].before_percent == 100.0
     assert len(found.messages) <= 10
+    beside_a_tone = verdict(bearing, tones=(tone(1.0, 8.0, "other"),), speed=None)
+    assert len(beside_a_tone.messages) <= 10
+    assert beside_a_tone.messages[0].code == "severe_tone"
 
 
-SPEED, RATE = {"rig.speed_rpm": 1800.0}, {"rate_hz": RATE_HZ * 1750.0 / 1800.0}
+SPEED_FOUND_RPM, RATE_FOUND_HZ = {"rig.speed_rpm": 1800.0}, {"rate_hz": RATE_HZ * 1750.0 / 1800.0}
 
 
 @pytest.mark.parametrize(
     ("codes", "values"),
     [
-        ((SPEED_CONTRADICTED,), SPEED),
-        ((RATE_CONTRADICTED,), SPEED | RATE),
-        ((SPEED_CONTRADICTED, RATE_UNCONFIRMED), SPEED | RATE),  # the record does not tell which
+        ((SPEED_CONTRADICTED,), SPEED_FOUND_RPM),
+        ((RATE_CONTRADICTED,), SPEED_FOUND_RPM | RATE_FOUND_HZ),
+        ((SPEED_CONTRADICTED, RATE_UNCONFIRMED), SPEED_FOUND_RPM | RATE_FOUND_HZ),  # the record does not tell which
     ],
 )
 def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else_is(
