@@ -29,7 +29,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 from .gates import Context, judged
 from .joint_fit import left_of_own_state, left_of_states
 from .mistake import explaining_mistake
-from .rivals import better_predicting, is_overshadowed, least_of_mistake_nats, share_left
+from .rivals import better_predicting, is_overshadowed, least_of_mistake_nats, left_text, share_left
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -225,8 +225,9 @@ def _more_missing(named: Entry) -> Sequence[Message]:
     """The remark on a named law that leaves more than a fifth; none of another candidate."""
     if named.passed:
         return ()
-    left = f"{100 * (share_left(named) or 0.0):.0f} %"
-    return (Message("leaves_more", f"{named.effect} predicts best, but leaves {left} of the missing force"),)
+    return (
+        Message("leaves_more", f"{named.effect} predicts best, but leaves {left_text(named)} of the missing force"),
+    )
 
 
 def _law_beside(
@@ -258,8 +259,7 @@ def _law_beside(
 
 def _leaves_message(entry: Entry) -> Message:
     """On a candidate that was ahead of the verdict."""
-    left = f"{100 * (share_left(entry) or 0.0):.0f} %"
-    return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {left} of it")
+    return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {left_text(entry)} of it")
 
 
 def judged_mistake(
@@ -291,7 +291,7 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
     pair: Entry | None = None
     if tried:
         nearest = tried[0]
-        text = f"{nearest.effect} fits best but leaves {100 * (share_left(nearest) or 0.0):.0f} % of the missing force"
+        text = f"{nearest.effect} fits best but leaves {left_text(nearest)} of the missing force"
         said.append(Message("nearest_leaves", text))
         if nearest.law is not None:
             state = min(nearest.places), "velocity" if nearest.law.state == "velocity" else "displacement"

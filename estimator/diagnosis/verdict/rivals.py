@@ -18,6 +18,11 @@ def share_left(entry: Entry) -> float | None:
     return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
 
 
+def left_text(entry: Entry) -> str:
+    """What a candidate leaves of what it was to explain, per cent, for a message."""
+    return f"{100 * (share_left(entry) or 0.0):.0f} %"
+
+
 def better_predicting(entries: Sequence[Entry], named: Entry, context: Context) -> Entry | None:
     """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
 

@@ -25,6 +25,7 @@ from estimator.identification.machine import (
     StrikeTrain,
     Tone,
 )
+from estimator.identification.machine.thresholds import LIMITS as STRIKE_LIMITS
 from estimator.identification.record import RecordSurvey
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
@@ -61,8 +62,6 @@ class Thresholds:
         The same of a line that is no multiple of shaft or mains: 20 dB below the level.
     whole_order_tolerance : float
         Distance of a strike order from a whole number, in shaft orders.
-    max_slip_rel : float
-        Between two orders of one defect: slip of the balls and the contact angle under load.
     """
 
     max_p_value: float = 1e-3
@@ -72,7 +71,6 @@ class Thresholds:
     min_line_power_share: float = 0.1
     min_unexplained_power_share: float = 0.01
     whole_order_tolerance: float = 0.02
-    max_slip_rel: float = 0.02
 
 
 MACHINE_THRESHOLDS = Thresholds()
@@ -98,15 +96,15 @@ def strike_entries(model: Model, machine: MachineSurvey) -> list[Entry]:
     """Candidates for a defect of the bearing, clearest first: significant strike trains at a kinematic order.
 
     Where the geometry of the bearing is unknown, every order counts that is no whole multiple of the shaft; where the
-    speed is unknown, none. A model
-    with the varying compliance of the ball passes modulates the vibration at BPFO itself.
+    speed is unknown, none. A model with the varying compliance of the ball passes modulates the vibration at BPFO
+    itself.
     """
     known = {BALL_PASS_NAME} if any(use.name == BALL_PASS.name for use in model.effects) else set()
     out = []
     for train in machine.strikes:
-        named = (train.name != NO_KINEMATIC_NAME or model.bearing is None) and train.name not in known
-        named = named and train.order is not None
-        if train.p_value <= MACHINE_THRESHOLDS.max_p_value and named and not is_whole_order(train):
+        kinematic = train.name != NO_KINEMATIC_NAME or (model.bearing is None and train.order is not None)
+        named = kinematic and train.name not in known and not is_whole_order(train)
+        if train.p_value <= MACHINE_THRESHOLDS.max_p_value and named:
             out.append(_strike_entry(model, machine, train))
     return out
 
@@ -130,9 +128,9 @@ def _strike_entry(model: Model, machine: MachineSurvey, train: StrikeTrain) -> E
 
 
 def have_one_order(one: Entry, other: Entry) -> bool:
-    """Whether two candidates have no orders that differ by more than the slip of a bearing."""
+    """Whether the orders of two candidates, where they have one, differ by no more than the slip of a bearing."""
     orders = [p.value for e in (one, other) for key, p in e.parameters.items() if key.endswith(".order") and p.value]
-    return max(orders, default=1.0) <= (1.0 + MACHINE_THRESHOLDS.max_slip_rel) * min(orders, default=1.0)
+    return max(orders, default=1.0) <= (1.0 + STRIKE_LIMITS.max_slip_rel) * min(orders, default=1.0)
 
 
 def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:

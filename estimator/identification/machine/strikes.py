@@ -119,9 +119,10 @@ def find_strikes(
     limit = float(np.log(LIMITS.max_false_train_chance))
     trials = _named(found, kinds)
     log_paid = log_tables + float(np.log(max(len(kinds), 1)))
-    certain = [] if speed is None else [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
-    if certain and speed is not None:
-        return _reported(_ranked(certain, speed), speed, log_paid)
+    if speed is not None:
+        certain = [v for v in trials if v.comb.log_p + log_paid < limit and _is_whole(v, speed)]
+        if certain:
+            return _reported(_ranked(certain, speed), speed, log_paid)
     free = clearest([own.free for own in found])
     if free is not None and free.log_p + log_tables < limit and _is_free_train(free):
         return _reported([(Verdict(kind=Kinematic(name="other", order=0.0), comb=free), 1.0)], speed, log_tables)

@@ -15,9 +15,9 @@ from estimator.diagnosis.verdict.rivals import is_overshadowed, least_of_mistake
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion.located_law import LocatedLaw
 
-PASSED = (GateResult(gate=INSIDE_LIMITS, passed=True), GateResult(gate=LEAVES_LITTLE, passed=True))
-LEFT_TOO_MUCH = (PASSED[0], GateResult(gate=LEAVES_LITTLE, passed=False, measured=0.6, limit=0.2))
-IMPOSSIBLE = (GateResult(gate=INSIDE_LIMITS, passed=False, measured=2.0, limit=1.0),)
+GATES_PASSED = (GateResult(gate=INSIDE_LIMITS, passed=True), GateResult(gate=LEAVES_LITTLE, passed=True))
+GATES_LEAVING_TOO_MUCH = (GATES_PASSED[0], GateResult(gate=LEAVES_LITTLE, passed=False, measured=0.6, limit=0.2))
+GATES_OUTSIDE_LIMITS = (GateResult(gate=INSIDE_LIMITS, passed=False, measured=2.0, limit=1.0),)
 
 
 def law(nats: float, before: float, after: float, *gates: GateResult) -> Entry:
@@ -29,37 +29,37 @@ def law(nats: float, before: float, after: float, *gates: GateResult) -> Entry:
     )  # fmt: skip
 
 
-NAMED = law(60.0, 5.0, 3.0, *PASSED)  # explains 4 %
+NAMED_LAW = law(60.0, 5.0, 3.0, *GATES_PASSED)  # explains 4 %
 
 
 @pytest.mark.parametrize(
     ("beside", "overshadowed"),
     [
-        (law(65.0, 5.0, 3.0, *LEFT_TOO_MUCH), False),  # within the resolution of the record
-        (law(90.0, 5.0, 3.0, *LEFT_TOO_MUCH), True),  # far likelier
-        (law(90.0, 5.0, 3.0, *PASSED), False),  # that passed too: the ranking decides
-        (law(90.0, 5.0, 3.0, *IMPOSSIBLE), False),  # of a gap that the motion never closes
-        (law(40.0, 9.5, 3.0, *LEFT_TOO_MUCH), True),  # explains 9 %
-        (replace(law(90.0, 5.0, 3.0, *LEFT_TOO_MUCH), by_node={"bearing2": (90.0, 90.0)}), False),  # elsewhere
+        (law(65.0, 5.0, 3.0, *GATES_LEAVING_TOO_MUCH), False),  # within the resolution of the record
+        (law(90.0, 5.0, 3.0, *GATES_LEAVING_TOO_MUCH), True),  # far likelier
+        (law(90.0, 5.0, 3.0, *GATES_PASSED), False),  # that passed too: the ranking decides
+        (law(90.0, 5.0, 3.0, *GATES_OUTSIDE_LIMITS), False),  # of a gap that the motion never closes
+        (law(40.0, 9.5, 3.0, *GATES_LEAVING_TOO_MUCH), True),  # explains 9 %
+        (replace(law(90.0, 5.0, 3.0, *GATES_LEAVING_TOO_MUCH), by_node={"bearing2": (90.0, 90.0)}), False),  # elsewhere
     ],
 )
 def test_a_refused_law_that_is_larger_or_far_likelier_overshadows(beside: Entry, overshadowed: bool) -> None:
-    assert is_overshadowed(NAMED, [NAMED, beside]) is overshadowed
+    assert is_overshadowed(NAMED_LAW, [NAMED_LAW, beside]) is overshadowed
 
 
-@pytest.mark.parametrize("placed", [NAMED.placed, ()])
+@pytest.mark.parametrize("placed", [NAMED_LAW.placed, ()])
 def test_what_leaves_more_than_twice_what_it_explains_is_no_answer(placed: tuple[LocatedLaw, ...]) -> None:
     """Forces that are correlated by 2 % were named where 28 % of the bearing force was missing."""
-    assert is_overshadowed(replace(law(60.0, 9.9, 9.0, *PASSED), placed=placed), []), "explains 4 %, leaves 9 %"
-    assert not is_overshadowed(replace(law(60.0, 9.9, 7.0, *PASSED), placed=placed), []), "explains 7 %"
+    assert is_overshadowed(replace(law(60.0, 9.9, 9.0, *GATES_PASSED), placed=placed), []), "explains 4 %, leaves 9 %"
+    assert not is_overshadowed(replace(law(60.0, 9.9, 7.0, *GATES_PASSED), placed=placed), []), "explains 7 %"
 
 
 def test_a_law_that_couples_the_directions_has_swapped_channels_as_a_rival() -> None:
     """With b1y and b2x swapped the spring between the caps looks like an anisotropy of each bearing."""
 
     def placed(name: str) -> Entry:
-        return replace(NAMED, placed=cast(tuple[LocatedLaw, ...], (SimpleNamespace(effect=CATALOGUE[name]),)))
+        return replace(NAMED_LAW, placed=cast(tuple[LocatedLaw, ...], (SimpleNamespace(effect=CATALOGUE[name]),)))
 
-    assert least_of_mistake_nats([placed("anisotropy")]) == NAMED.gain
+    assert least_of_mistake_nats([placed("anisotropy")]) == NAMED_LAW.gain
     assert least_of_mistake_nats([placed("cubic")]) is None
     assert least_of_mistake_nats([]) == -np.inf
