@@ -7,7 +7,7 @@ from typing import Any
 
 INLINE_CODE = re.compile(r"(?<!<pre>)(?<!</span>)<code>([^<]*)</code>")
 BLOCK_OF_CODE = re.compile(r"<pre><code>[^<]*</code></pre>")
-OPTION = re.compile(r"(?<!\S)-\S{1,24}(?!\S)")
+OPTION_OF_COMMAND = re.compile(r"(?<!\S)-\S{1,24}(?!\S)")
 SHORT_WORD = re.compile(r"(?<!\S)\S{2,24}(?!\S)")  # of which a table may break one in a narrow cell
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./)+[^)]*\)")
 
@@ -25,7 +25,7 @@ def on_page_content(html: str, **_: Any) -> str:
         return f"<code>{SHORT_WORD.sub(_whole, text)}</code>"
 
     html = INLINE_CODE.sub(shown, html)
-    return BLOCK_OF_CODE.sub(lambda found: OPTION.sub(_whole, found[0]), html)
+    return BLOCK_OF_CODE.sub(lambda found: OPTION_OF_COMMAND.sub(_whole, found[0]), html)
 
 
 def _whole(word: re.Match[str]) -> str:

@@ -94,13 +94,15 @@ def _kill(cluster: Any) -> None:
 
 @contextmanager
 def uninterrupted_children() -> Iterator[None]:
-    """Processes that are started within hear no Ctrl-C: a terminal sends it to them too, and they are to be asked. Ours
-    that comes meanwhile acts at the end: the children inherit that the signal waits, where to ignore it would lose it.
+    """Block Ctrl-C for the processes that are started within, which inherit the block.
+
+    A terminal sends Ctrl-C to them too, and they have to be asked to end. A Ctrl-C that this process gets within takes
+    effect at the end.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # where it is started within, the signal waits no more
+    resource_tracker.ensure_running()  # a tracker that is started within would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

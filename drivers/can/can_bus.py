@@ -64,7 +64,7 @@ def _advice(config: CanConfig) -> str:
     if config.interface == "socketcan":
         name = config.channel
         return f"check `ip link show {name}` and bring it up with `ip link set {name} up type can ...`"
-    return "check the channel's name, that its driver is installed, it is plugged in and no other program holds it"
+    return "check the channel's name, the adapter's plug and driver, and that no other program holds it"
 
 
 def _probe(config: CanConfig) -> None:

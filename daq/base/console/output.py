@@ -212,15 +212,17 @@ def spare(path: Path, *others: str) -> None:
 
 
 def check_place(option: str, path: Path) -> None:
-    """Of a result that will take its time. Raises ConfigError where it could not be written."""
+    """Refuse a place where a result could not be written, before the work is done. Raises ConfigError.
+
+    option : that gives the place, for the message.
+    """
     if folder := no_folder(path):
         raise ConfigError(f"{option} {path}: {folder}")
     if path.is_dir():
         raise ConfigError(f"{option} {path}: is a folder; give the name of a file")
     place = path if path.exists() else path.absolute().parent
     if not os.access(place, os.W_OK):
-        text = "no permission to write there; choose another place"
-        raise ConfigError(f"{option} {path}: {text}")
+        raise ConfigError(f"{option} {path}: no permission to write there; choose another place")
 
 
 def write_whole(path: Path, data: str | bytes) -> None:

@@ -16,8 +16,8 @@ from promises import PATIENCE_S
 
 from daq.commands.cli.app import main
 
-ROOT = Path(__file__).parents[3]
-CONFIGS = ROOT / "configs"
+PROJECT_FOLDER = Path(__file__).parents[3]
+CONFIGS_FOLDER = PROJECT_FOLDER / "configs"
 OWN_RIG = "one_bearing.toml"
 MAPPED_RIG = "canedge_imu.toml"
 WITHOUT_RIGHTS = ("setpriv", "--bounding-set=-all", "--inh-caps=-all")  # root that is not let everywhere
@@ -27,7 +27,7 @@ WITHOUT_RIGHTS = ("setpriv", "--bounding-set=-all", "--inh-caps=-all")  # root t
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with what a user gives in place of what was asked for."""
     for name in (OWN_RIG, MAPPED_RIG, "canmod-gps.dbc"):
-        shutil.copy(CONFIGS / name, tmp_path / name)
+        shutil.copy(CONFIGS_FOLDER / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     Path("empty.mcap").touch()
     Path("day.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)))
@@ -66,7 +66,7 @@ def said(capsys: pytest.CaptureFixture[str], notes: int = 0) -> str:
 def test_what_is_no_such_file(
     here: Path, command: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copy(CONFIGS / "tiwari_vyas_1997.toml", "chain.toml")
+    shutil.copy(CONFIGS_FOLDER / "tiwari_vyas_1997.toml", "chain.toml")
     before = sorted(here.rglob("*"))
     assert main(command) == status
     assert words in said(capsys)
@@ -131,7 +131,7 @@ def test_without_permission_the_owner_is_to_be_asked(here: Path, command: list[s
     Path("shut").mkdir(mode=0o555)
     rights = WITHOUT_RIGHTS if os.geteuid() == 0 else ()
     done = subprocess.run(
-        [*rights, sys.executable, "-m", "daq", *command], env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [*rights, sys.executable, "-m", "daq", *command], env={**os.environ, "PYTHONPATH": str(PROJECT_FOLDER)},
         capture_output=True, text=True, check=False, timeout=PATIENCE_S,
     )  # fmt: skip
     assert done.returncode in (2, 4)
@@ -141,5 +141,7 @@ def test_without_permission_the_owner_is_to_be_asked(here: Path, command: list[s
 
 def test_help_into_a_pipe_that_closes_is_no_failure() -> None:
     command = f'"{sys.executable}" -m daq --help | head -1; exit ${{PIPESTATUS[0]}}'
-    done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, check=False, timeout=PATIENCE_S)
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=PROJECT_FOLDER, capture_output=True, check=False, timeout=PATIENCE_S
+    )
     assert (done.returncode, done.stderr) == (0, b"")
