@@ -119,7 +119,10 @@ def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines)
         if np.count_nonzero(high) < LIMITS.min_clear_harmonics:  # the noise is no less than that of random phases
             yield None
             continue
-        noise = np.repeat(local_noise(P[width // 2 :: width], count), width)[: P.size]
+        thin = P[width // 2 :: width]
+        compared = np.where(usable & (LIMITS.least_ratio * random < P), P, 0.0)
+        compared = np.maximum.reduceat(compared, width * np.arange(thin.size))
+        noise = np.repeat(local_noise(thin, count, compared), width)[: P.size]
         noise = np.pad(noise, (0, P.size - noise.size), mode="edge")
         noise = np.maximum(noise, random)
         level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise)

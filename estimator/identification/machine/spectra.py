@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.fft import rfft
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.special import fdtrc, fdtri, gammaincinv
 
 from estimator.arrays import Array
 from estimator.parallel import map_threads
+from estimator.signals.line_spectrum import hann_spectrum
 
 from .pieces import Pieces
 from .thresholds import LIMITS
@@ -40,7 +41,7 @@ class LevelSpectrum:
     power : (bins,) float64
         Squared peak amplitude of a tone at the bin, averaged over the pieces.
     noise : (bins,) float64
-        Power of the noise about the bin.
+        Power of the noise about the bin; a lower bound where the power is less than `LIMITS.least_ratio` times that.
     mean_log : (bins,) float64 or None
         Mean over the pieces of the logarithm of a piece's power; None of one piece.
     """
@@ -82,7 +83,15 @@ def level_spectra(pieces: Pieces) -> list[LevelSpectrum]:
     while size >= least or (size and not sizes):
         sizes.append(size)
         size //= LIMITS.coarser_by
-    return [_level(pieces, size) for size in sizes if len(pieces)]
+    if not len(pieces):
+        return []
+    sums = [_LevelSum(size, several=len(pieces) * pieces.size >= 2 * size) for size in sizes]
+    for group in pieces.groups():
+        largest = max(float(group.max()), -float(group.min())) or 1.0
+        rows = (group / largest).astype(np.float32)  # a sample of 24 bits is exact
+        for own in sums:
+            own.add(rows, largest)
+    return [own.spectrum(pieces.rate_hz) for own in sums]
 
 
 def channel_spectra(y: Array, rate_hz: float, columns: Mapping[str, int]) -> dict[str, list[LevelSpectrum]]:
@@ -94,40 +103,58 @@ def channel_spectra(y: Array, rate_hz: float, columns: Mapping[str, int]) -> dic
     return {name: levels for name, levels in zip(columns, found, strict=True) if levels}
 
 
-def _level(pieces: Pieces, size: int) -> LevelSpectrum:
-    """The spectrum at one resolution. size : rows of a piece."""
-    window = np.hanning(size + 1)[:-1]
-    bins = size // 2 + 1
-    several = len(pieces) * pieces.size >= 2 * size  # one piece says nothing of scatter
-    total, logs, count = np.zeros(bins), np.zeros(bins if several else 0), 0
-    for group in pieces.groups():
-        cut = group[:, : group.shape[1] // size * size].reshape(-1, size)
-        cut -= cut.mean(axis=1, keepdims=True)
-        cut *= window
-        X = rfft(cut, axis=1)
-        P = X.real**2 + X.imag**2
-        total += P.sum(axis=0)
-        if several:
-            logs += np.log(np.maximum(P, 1e-300)).sum(axis=0)
-        count += len(P)
-    scale = (2.0 / window.sum()) ** 2
-    power = np.maximum(total / count * scale, 1e-300)
-    return LevelSpectrum(
-        seconds=size / pieces.rate_hz,
-        count=count,
-        power=power,
-        noise=local_noise(power, count),
-        mean_log=logs / count + np.log(scale) if several else None,
-    )
+class _LevelSum:
+    """Sums over the pieces of a channel at one resolution.
+
+    Parameters
+    ----------
+    size : int
+        Rows of a piece.
+    several : bool
+        Whether there is more than one piece: one says nothing of scatter.
+    """
+
+    def __init__(self, size: int, several: bool) -> None:
+        self._size = size
+        self._count = 0
+        self._power = np.zeros(size // 2 + 1)
+        self._logs = np.zeros(size // 2 + 1) if several else None
+
+    def add(self, rows: NDArray[np.float32], largest: float) -> None:
+        """Add some longer pieces (pieces, rows), which are over their largest value."""
+        W = hann_spectrum(rows[:, : rows.shape[1] // self._size * self._size].reshape(-1, self._size))
+        P = W.real**2 + W.imag**2
+        self._power += P.sum(axis=0, dtype=np.float64) * largest**2
+        if self._logs is not None:
+            logs = np.log(np.maximum(P, LIMITS.least_power))
+            self._logs += logs.sum(axis=0, dtype=np.float64) + 2.0 * len(P) * np.log(largest)
+        self._count += len(P)
+
+    def spectrum(self, rate_hz: float) -> LevelSpectrum:
+        """The average. rate_hz : rows per second."""
+        power = np.maximum(self._power / self._count, 1e-300)
+        return LevelSpectrum(
+            seconds=self._size / rate_hz,
+            count=self._count,
+            power=power,
+            noise=local_noise(power, self._count),
+            mean_log=None if self._logs is None else self._logs / self._count,
+        )
 
 
-def local_noise(power: Array, count: float) -> Array:
+def local_noise(power: Array, count: float, compared: Array | None = None) -> Array:
     """(bins,) noise about each bin: the larger of the mean of its near neighbours and the median further about it.
 
-    count : of spectra whose average the power is.
+    The median is asked where what is compared stands out of that mean. Elsewhere it decides nothing.
+
+    count : of spectra whose average the power is. compared : (bins,) largest power that is compared with the noise
+    about a bin; None: the power itself.
     """
-    median = median_filter(power, 2 * LIMITS.far_reach_bins + 1, mode="nearest")
-    median *= count / gammaincinv(count, 0.5)
-    wide, inner = 2 * LIMITS.near_reach_bins + 1, 2 * LIMITS.near_bins - 1
+    wide, inner, reach = 2 * LIMITS.near_reach_bins + 1, 2 * LIMITS.near_bins - 1, LIMITS.far_reach_bins
     about, own = (uniform_filter1d(power, width, mode="nearest") * width for width in (wide, inner))
-    return np.maximum(np.maximum((about - own) / (wide - inner), median), 1e-300)
+    noise = np.maximum((about - own) / (wide - inner), 1e-300)
+    high = np.flatnonzero((power if compared is None else compared) > LIMITS.least_ratio * noise)
+    near = sliding_window_view(np.pad(power, reach, mode="edge"), 2 * reach + 1)[high]
+    median = np.partition(near, reach, axis=1)[:, reach] * (count / gammaincinv(count, 0.5))
+    noise[high] = np.maximum(noise[high], median)
+    return noise
