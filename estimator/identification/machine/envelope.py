@@ -72,28 +72,32 @@ def envelope_spectra(
         return []
     spectra = _PieceSpectra(pieces)
     gain = _whitening(spectra, pieces)
-    edges = list(_bands(pieces, highest_hz, bank))
-    power = [np.zeros(min(int(highest_hz * pieces.seconds), b - a) + 1) for a, b in edges]
-    band_power = [np.zeros(b - a, np.float32) for a, b in edges]
+    tiers = _tiers(pieces, highest_hz, bank)
+    sums = [
+        (np.zeros((parts, min(int(highest_hz * pieces.seconds), width) + 1)), np.zeros((parts, width), np.float32))
+        for parts, width in tiers
+    ]
     first = 0
     for group in spectra:
         steps = _steps(pieces, range(first, first + len(group)), angle)
         first += len(group)
-        white = irfft((group * gain).astype(np.complex64), pieces.size, axis=1)
+        white = irfft(group * gain, pieces.size, axis=1)
         X: NDArray[Any] = rfft(_at_one_level(white, int(level_s * pieces.rate_hz)), axis=1)
-        for lines, band, (a, b) in zip(power, band_power, edges, strict=True):
-            own_lines, own_band = _squared_envelope_power(X[:, a:b], lines.size, steps)
+        for lines, band in sums:
+            own = X[:, 1 : band.size + 1].reshape(len(X), *band.shape)
+            own_lines, own_band = _squared_envelope_power(own, lines.shape[1], steps)
             lines += own_lines
             band += own_band
     return [
         EnvelopeSpectrum(
-            band_hz=(a / pieces.seconds, b / pieces.seconds),
+            band_hz=((1 + k * width) / pieces.seconds, (1 + (k + 1) * width) / pieces.seconds),
             seconds=pieces.seconds,
             count=len(pieces),
-            power=lines / len(pieces),
-            random=_random_power(band / len(pieces), lines.size),
+            power=power / len(pieces),
+            random=random,
         )
-        for lines, band, (a, b) in zip(power, band_power, edges, strict=True)
+        for (_, width), (lines, band) in zip(tiers, sums, strict=True)
+        for k, (power, random) in enumerate(zip(lines, _random_power(band / len(pieces), lines.shape[1]), strict=True))
     ]
 
 
@@ -116,13 +120,12 @@ class _PieceSpectra:
             yield X
 
 
-def _bands(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> Iterator[tuple[int, int]]:
-    """First bin and bin after the last of each band; a narrower band would smear the strikes of a fast train."""
+def _tiers(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Number and width (bins) of the bands of each tier, from bin 1; a narrower band would smear a fast train."""
     top = int(LIMITS.top_of_nyquist * 0.5 * pieces.size)
-    for parts in bank:
-        edges = np.linspace(1, top, parts + 1).astype(int)
-        if parts == 1 or edges[1] - edges[0] >= LIMITS.min_band_over_highest * highest_hz * pieces.seconds:
-            yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    tiers = [(parts, (top - 1) // parts) for parts in bank]
+    least = LIMITS.min_band_over_highest * highest_hz * pieces.seconds
+    return [(parts, width) for parts, width in tiers if parts == 1 or width >= least]
 
 
 def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
@@ -139,37 +142,39 @@ def _steps(pieces: Pieces, numbers: range, angle: Array | None) -> list[Array]:
 
 
 def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) -> tuple[Array, Array]:
-    """(bins,) squared amplitudes of the lines of the squared envelope of a band, and (bins of the band,) its power.
+    """(bands, bins) squared amplitudes of the lines of the squared envelope of each band, and (bands, width) its power.
 
     Both are sums over pieces, over the squared mean of the squared envelope and over that mean; under a Hann window.
 
-    X : (pieces, bins of the band). steps : by piece, as of `_steps`. The envelope is interpolated and not the samples:
-    its mean does not depend on the place between two rows.
+    X : (pieces, bands, width). steps : by piece, as of `_steps`. The envelope is interpolated and not the samples: its
+    mean does not depend on the place between two rows.
     """
-    n = _transform_size(X.shape[1], bins)
-    z = ifft(X, n, axis=1)
+    n = _transform_size(X.shape[-1], bins)
+    z = ifft(X, n)
     P = X.real**2 + X.imag**2
-    mean = np.maximum(P.sum(axis=1, keepdims=True) / n, LIMITS.least_power)  # n times the mean of the squared envelope
-    envelope = (z.real**2 + z.imag**2) / (mean / n)
-    for row, at in zip(envelope, steps, strict=bool(steps)):
+    mean = np.maximum(P.sum(axis=-1, keepdims=True), LIMITS.least_power) / n  # n times that of the squared envelope
+    envelope = z.real**2
+    envelope += z.imag**2
+    for rows, at in zip(envelope, steps, strict=bool(steps)):
         share = np.interp(np.arange(n) / n, np.arange(at.size) / at.size, at)
-        row[:] = np.interp(share * n, np.arange(n), row)
-    S = rfft(envelope, axis=1)[:, : bins + 1]
-    S[:, 0] = 0.0
-    windowed = 0.5 * S[:, :bins] - 0.25 * (_before(S)[:, :bins] + S[:, 1:])
+        for row in rows:
+            row[:] = np.interp(share * n, np.arange(n), row)
+    S = rfft(envelope)[..., : bins + 1] * (n / mean)
+    S[..., 0] = 0.0
+    windowed = 0.5 * S[..., :bins] - 0.25 * (_before(S)[..., :bins] + S[..., 1:])
     power = windowed.real.astype(np.float64) ** 2 + windowed.imag.astype(np.float64) ** 2
     return power.sum(axis=0) * (4.0 / n) ** 2, (P / mean).sum(axis=0)
 
 
 def _random_power(P: NDArray[Any], bins: int) -> Array:
-    """(bins,) mean of the squared amplitudes of the lines of the squared envelope under random phases.
+    """(bands, bins) mean of the squared amplitudes of the lines of the squared envelope under random phases.
 
-    P : (bins of the band,) mean over the pieces of the power of a bin, over n times the mean of the squared envelope.
+    P : (bands, width) mean over the pieces of the power of a bin, over n times the mean of the squared envelope.
     """
-    n = _transform_size(P.size, bins)
+    n = _transform_size(P.shape[1], bins)
     products = rfft(P, n)
-    R = irfft(products.real**2 + products.imag**2, n)[: bins + 1].astype(np.float64)
-    random = 0.25 * R[:bins] + 0.0625 * (_before(R)[:bins] + R[1:])
+    R = irfft(products.real**2 + products.imag**2, n)[:, : bins + 1].astype(np.float64)
+    random = 0.25 * R[:, :bins] + 0.0625 * (_before(R)[:, :bins] + R[:, 1:])
     return np.asarray(random * (4.0 / n) ** 2)
 
 
@@ -191,7 +196,7 @@ def _at_one_level(x: Series, rows: int) -> Series:
     return np.asarray(x / np.sqrt(np.maximum(level, least)))
 
 
-def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> Array:
+def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> NDArray[np.float32]:
     """(bins,) factors that bring the noise in the spectrum of a piece to 1 and bound the lines."""
     power = np.zeros(pieces.size // 2 + 1)
     for X in spectra:
@@ -199,7 +204,7 @@ def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> Array:
     power /= len(pieces)
     floor = _floor(power, pieces.seconds)
     bound = max(LIMITS.min_tone_ratio, LIMITS.tone_noise_hz * pieces.seconds) / len(pieces)
-    return np.asarray(1.0 / np.sqrt(np.maximum(floor, power / max(1.0, bound))))
+    return np.asarray(1.0 / np.sqrt(np.maximum(floor, power / max(1.0, bound))), np.float32)
 
 
 def _floor(power: Array, seconds: float) -> Array:
