@@ -118,7 +118,7 @@ def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable:
 
 def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFinding | None:
     """The second channel as a copy of the first one, but for gain and offset."""
-    share, factor = _residual_of_copy(a, b)
+    share, factor = _residual_of_copy(a, b, limits.max_copy_residual_share)
     if share > limits.max_copy_residual_share:
         return None
     gain = factor * _scale(b) / _scale(a)
@@ -140,12 +140,14 @@ def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFindi
     )
 
 
-def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]:
+def _residual_of_copy(a: ChannelRecord, b: ChannelRecord, most: float) -> tuple[float, float]:
     """Share of the power of the second channel that is not proportional to the first one, and the factor between them.
 
-    Each channel is over its largest value. Share 1 where fewer than 64 samples are common or one does not move.
+    Each channel is over its largest value. Share 1 where fewer than 64 samples are common or one does not move, and
+    where the residual of the first samples alone is more than the share `most` of the whole power.
     """
     total, products, means = 0, np.zeros((2, 2)), np.zeros(2)
+    whole = b.moments.count * (b.moments.sd / _scale(b)) ** 2
     for p, q in _common_pieces(a, b):
         total += p.size
         pieces = np.stack([p, q])
@@ -153,6 +155,8 @@ def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]
         products += (pieces - own[:, None]) @ (pieces - own[:, None]).T
         products += np.outer(own - means, own - means) * p.size * (1.0 - weight)
         means += (own - means) * weight
+        if products[1, 1] - products[0, 1] ** 2 / max(products[0, 0], 1e-300) > (most + 1e-9) * whole:
+            return 1.0, 0.0  # more samples only add to a residual
     (pp, pq), (_, qq) = products
     if total < 64 or not pp * qq > 0.0:
         return 1.0, 0.0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from scipy.fft import rfft
 
 from estimator.arrays import Array
@@ -56,7 +56,9 @@ def segments(y: Array, starts: NDArray[np.intp], samples: int) -> Array:
     return np.asarray(z - z.mean(axis=1, keepdims=True))
 
 
-def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -> tuple[Array, Array, int]:
+def power_spectrum(
+    y: Array, rate_hz: float, samples: int, scale: float = 1.0, dtype: DTypeLike = np.float64
+) -> tuple[Array, Array, int]:
     """Averaged one-sided PSD of a channel over its finite stretches of at least so many samples.
 
     Parameters
@@ -70,6 +72,8 @@ def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -
         them, or fewer.
     scale : float
         By which the samples are divided.
+    dtype : dtype
+        Precision of the transforms. Single precision has an error of -130 dB of the level of the channel.
 
     Returns
     -------
@@ -77,13 +81,13 @@ def power_spectrum(y: Array, rate_hz: float, samples: int, scale: float = 1.0) -
         Frequencies in Hz, PSD in the squared unit of `y` over `scale` per Hz (zero without a segment), and
         number of segments.
     """
-    window = np.hanning(samples + 1)[:-1]
+    window = np.hanning(samples + 1)[:-1] / scale
     total, count = np.zeros(samples // 2 + 1), 0
     for starts in segment_starts(np.isfinite(y), samples, RECORD_THRESHOLDS.max_summary_segments):
-        transform = rfft(segments(y, starts, samples) * (window / scale), axis=1)
+        transform = rfft((segments(y, starts, samples) * window).astype(dtype, copy=False), axis=1)
         total += np.sum(transform.real**2 + transform.imag**2, axis=0)
         count += starts.size
-    total *= 2.0 / (rate_hz * max(np.sum(window**2), 1.0) * max(count, 1))
+    total *= 2.0 / (rate_hz * max(np.sum((scale * window) ** 2), 1.0) * max(count, 1))
     return np.asarray(np.fft.rfftfreq(samples, 1.0 / rate_hz)), total, count
 
 
@@ -110,7 +114,7 @@ def velocity_rms(y: Array, kind: str, rate_hz: float, reach_hz: float, scale: fl
     longest = longest_stretch(y)
     if longest < RECORD_THRESHOLDS.min_stretch_s * rate_hz:
         return None
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_THRESHOLDS.segment_s * rate_hz)), scale)
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_THRESHOLDS.segment_s * rate_hz)), scale, np.float32)
     inside = (f >= RECORD_THRESHOLDS.iso_band_hz[0]) & (f <= RECORD_THRESHOLDS.iso_band_hz[1])
     order = 2.0 if kind == "acceleration" else 0.0
     power = psd[inside] / (2.0 * np.pi * f[inside]) ** order

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.arrays import Array, real_samples
+from estimator.arrays import LONG_RECORD_BYTES, Array, real_samples
 from estimator.model.rig import Channel, Model
+from estimator.parallel import map_threads
 
 from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
 from .channel_summary import moments, stretches, usable_hz
-from .findings import RecordFinding, RecordSurvey
+from .findings import ChannelSummary, RecordFinding, RecordSurvey
 from .thresholds import RECORD_THRESHOLDS, Thresholds
 
 STILL_CODES = frozenset({"empty_channel", "dead_channel", "frozen_channel", "few_levels"})  # nothing to compare
@@ -43,29 +44,38 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     y = real_samples(y)
     if y.ndim != 2 or y.shape[1] != len(model.channels) or not (np.isfinite(rate_hz) and rate_hz > 0.0):
         return RecordSurvey()  # no record of this rig: said by what uses it
-    largest, reach_hz = RECORD_THRESHOLDS.max_value_si, usable_hz(model.anti_alias, rate_hz)
-    records, found, summaries = [], [], {}
-    for k, channel in enumerate(model.channels):
-        z = np.ascontiguousarray(y[:, k])  # read more than ten times
-        own = moments(z)
-        absurd = 0
-        if max(own.high, -own.low) > largest or own.count + np.count_nonzero(np.isnan(z)) < len(z):
-            wrong = np.abs(z) > largest
-            absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
-            z = np.where(wrong, np.nan, z)
-            own = moments(z)
-        one = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=own, reach_hz=reach_hz)
-        found += find_channel_faults(one, absurd)
-        summaries[channel.name] = one.summary
-        records.append(one if absurd else replace(one, y=y[:, k]))
+    reach_hz = usable_hz(model.anti_alias, rate_hz)
+
+    def surveyed(k: int) -> tuple[ChannelRecord, ChannelSummary, list[RecordFinding]]:
+        return _surveyed(model.channels[k], y[:, k], rate_hz, reach_hz)
+
+    columns = range(y.shape[1])
+    each = map_threads(surveyed, columns) if y.nbytes <= LONG_RECORD_BYTES else [surveyed(k) for k in columns]
+    records, found = [record for record, _, _ in each], [finding for _, _, own in each for finding in own]
     still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
     found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
     found += _missing(model.channels, y, rate_hz, still, RECORD_THRESHOLDS)
     return RecordSurvey(
-        channels=summaries,
+        channels={record.channel.name: summary for record, summary, _ in each},
         findings=tuple(found),
         unusable=frozenset(name for finding in found for name in finding.unusable),
     )
+
+
+def _surveyed(
+    channel: Channel, y: Array, rate_hz: float, reach_hz: float
+) -> tuple[ChannelRecord, ChannelSummary, list[RecordFinding]]:
+    """One channel (n,), its summary, and its faults. reach_hz : up to which a level is known."""
+    z = np.ascontiguousarray(y)  # read more than ten times
+    own, largest, absurd = moments(z), RECORD_THRESHOLDS.max_value_si, 0
+    if max(own.high, -own.low) > largest or own.count + np.count_nonzero(np.isnan(z)) < len(z):
+        wrong = np.abs(z) > largest
+        absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
+        z = np.where(wrong, np.nan, z)
+        own = moments(z)
+    one = ChannelRecord(channel=channel, y=z, rate_hz=rate_hz, moments=own, reach_hz=reach_hz)
+    found = find_channel_faults(one, absurd)
+    return (one if absurd else replace(one, y=y)), one.summary, found
 
 
 def _missing(
