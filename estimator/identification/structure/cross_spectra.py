@@ -82,8 +82,9 @@ def cross_spectra(
     f: Array = np.asarray(np.arange(size // 2 + 1) * (data.rate_hz / size), np.float64)
     keep = np.flatnonzero((f >= data.band[0]) & (f <= data.band[1]) & beside_lines(f, data.lines))
     S = np.zeros((keep.size, len(places), len(places)), np.complex128)
+    tapers = sine_tapers(size)
     for first in pieces:
-        for taper in sine_tapers(size):
+        for taper in tapers:
             F = rfft(series[list(places), first : first + size] * taper, axis=1)[:, keep].T
             S += F[:, :, None] * F[:, None, :].conj()
     T = response(f[keep]) * np.sqrt(2.0 / (data.rate_hz * LIMITS.taper_count * len(pieces)))

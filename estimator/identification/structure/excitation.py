@@ -129,7 +129,8 @@ def _piece_spectra(pieces: Pieces) -> tuple[Array, Array]:
     for group in pieces.groups():
         for taper in tapers:
             X = rfft(group * taper, axis=1)
-            np.add.at(blocks, block_of[done : done + len(group)], X.real**2 + X.imag**2)
+            for block, power in zip(block_of[done : done + len(group)], X.real**2 + X.imag**2, strict=True):
+                blocks[block] += power
         done += len(group)
     blocks *= 2.0 / (pieces.rate_hz * LIMITS.taper_count)
     return blocks.sum(axis=0) / len(pieces), blocks / np.bincount(block_of)[:, None]
