@@ -21,7 +21,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.parallel import map_threads
 from estimator.results import Message
-from estimator.signals.line_spectrum import local_noise
+from estimator.signals.line_spectrum import hann_spectrum, local_noise
 
 from .thresholds import LIMITS
 
@@ -149,9 +149,9 @@ def _without_lines(force: Array) -> Array:
     Lines of the force make lines in the motion and in every product F x. A varying stiffness makes no line in the
     force.
     """
-    from scipy.fft import irfft, rfft
+    from scipy.fft import irfft
 
-    Z = rfft(force * np.hanning(force.size))
+    Z = hann_spectrum(force.astype(np.float32)[None])[0]
     power = Z.real**2 + Z.imag**2
     lines = power > LIMITS.noise_margin_rel * np.log(Z.size / LIMITS.false_line_chance) * local_noise(
         power, LIMITS.floor_bins
@@ -159,7 +159,7 @@ def _without_lines(force: Array) -> Array:
     if not lines.any():
         return force
     Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0
-    return np.asarray(irfft(Z, force.size))
+    return np.asarray(irfft(Z, force.size) * (force.size / 4.0))
 
 
 def _peak_offset_bins(three: NDArray[np.floating[Any]]) -> float:
