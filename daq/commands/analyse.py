@@ -30,7 +30,7 @@ NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is miss
 def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | None, part: Part = WHOLE_RECORD) -> None:
     if out is not None:
         spare(out)
-    rig, data = given(output, log, rig_path, part=part)
+    rig, data = given(output, log, rig_path, ("estimator.identification.fit",), part)
     with output.progress(f"fitting ({method})"), about(log, data):
         result = fitted(rig, data, method)
     if out is not None:

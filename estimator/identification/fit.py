@@ -11,7 +11,7 @@ from estimator.arrays import Array
 from estimator.model.rig import Model
 from estimator.results import Fit
 
-from .judgeable import on_judgeable_record, survey_layers
+from .judgeable import judging_layers, on_judgeable_record
 from .record import UsableRecord
 
 Method = Literal["spectral", "fokker-planck", "score-matching"]
@@ -68,4 +68,4 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
         parameters = dict(result.parameters) | dict(usable.parameters)
         return replace(result, parameters=parameters, messages=(*usable.messages, *result.messages))
 
-    return on_judgeable_record(model, y, survey_layers(model, y, rate_hz), fitted)
+    return on_judgeable_record(model, y, judging_layers(model, y, rate_hz), fitted)

@@ -14,7 +14,7 @@ from estimator.model.rig import MOTION_UNITS, Model
 from .batch.unknown_mass import places_scaled_by_shaft
 from .machine import MachineSurvey, joined_bands, survey_machine
 from .record import RecordFinding, RecordSurvey, UsableRecord, survey_record, usable_record, without_spikes
-from .structure import StructureSurvey, bearing_mode, survey_structure
+from .structure import Mode, StructureSurvey, bearing_mode, survey_structure
 
 T = TypeVar("T")
 NO_PLACES: Mapping[str, str] = MappingProxyType({})
@@ -40,15 +40,25 @@ class Layers:
     structure: StructureSurvey
 
 
-def survey_layers(model: Model, y: Array, rate_hz: float) -> Layers:
-    """The layers of a record. y : (n, channels), SI. Nothing is raised."""
+def survey_layers(model: Model, y: Array, rate_hz: float, *, without_strikes: bool = False) -> Layers:
+    """The layers of a record, or all but its strike trains. y : (n, channels), SI. Nothing is raised."""
     record = survey_record(model, y, rate_hz)
     y = without_spikes(model, y, record)
-    machine = survey_machine(model, y, rate_hz, record)
+    machine = survey_machine(model, y, rate_hz, record, without_strikes=without_strikes)
     return_freed_memory(y)
     structure = survey_structure(model, y, rate_hz, record, machine)
     return_freed_memory(y)
     return Layers(record=record, machine=machine, structure=structure)
+
+
+def judging_layers(model: Model, y: Array, rate_hz: float) -> Layers:
+    """The layers of a record as far as the judgement of its bearings needs them. y : (n, channels), SI.
+
+    Strike trains are half of the work. They matter to a spectrum whose modes their lines hide.
+    """
+    layers = survey_layers(model, y, rate_hz, without_strikes=True)
+    clear = all(isinstance(_mode(model, layers, place), Mode) for place in layers.structure.places)
+    return layers if clear else survey_layers(model, y, rate_hz)
 
 
 def on_judgeable_record(
@@ -77,10 +87,9 @@ def judgeable_record(model: Model, y: Array, layers: Layers, refused: Mapping[st
     moving = [c for c in model.channels if c.kind in MOTION_UNITS]
     channels_of = {p: tuple(c.name for c in moving if c.place == p) for p in model.places}
     sound = {p: names for p, names in channels_of.items() if not layers.record.unjudged.issuperset(names)}
-    found, coupled = [], places_scaled_by_shaft(model)
+    found = []
     for place, channels in sound.items():
-        rigged = model.cap_mass(place) is not None or place in coupled
-        reason = refused.get(place) or bearing_mode(layers.structure, place, of_rig=rigged)
+        reason = refused.get(place) or _mode(model, layers, place)
         if isinstance(reason, str):
             own = RecordFinding(
                 code=NO_BEARING_MODE, channels=channels, text=reason, places=(place,), condemned=channels
@@ -93,3 +102,9 @@ def judgeable_record(model: Model, y: Array, layers: Layers, refused: Mapping[st
     names = [c.name for c in usable.model.channels if c.kind in MOTION_UNITS]
     lines = joined_bands(band for name in names for band in layers.machine.line_bands.get(name, ()))
     return replace(usable, model=replace(usable.model, record_lines=tuple(lines)))
+
+
+def _mode(model: Model, layers: Layers, place: str) -> Mode | str:
+    """The mode of a place that can be the bearing's, or why there is none."""
+    rigged = model.cap_mass(place) is not None or place in places_scaled_by_shaft(model)
+    return bearing_mode(layers.structure, place, of_rig=rigged)

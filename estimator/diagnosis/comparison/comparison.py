@@ -8,7 +8,7 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.judgeable import on_judgeable_record, survey_layers
+from estimator.identification.judgeable import judging_layers, on_judgeable_record
 from estimator.identification.record import UsableRecord
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.fitted_values import fitted_model
@@ -106,7 +106,7 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     """
     say = progress or (lambda fraction, text: None)
     say(0.0, "fit")
-    layers = survey_layers(model, y, rate_hz)
+    layers = judging_layers(model, y, rate_hz)
     return on_judgeable_record(model, y, layers, lambda usable: _of_usable(usable, rate_hz, say))
 
 

@@ -18,7 +18,13 @@ FORCE_UNIT = "N"
 
 
 def survey_machine(
-    model: Model, y: Array, rate_hz: float, record: RecordSurvey | None = None, *, live: bool = False
+    model: Model,
+    y: Array,
+    rate_hz: float,
+    record: RecordSurvey | None = None,
+    *,
+    live: bool = False,
+    without_strikes: bool = False,
 ) -> MachineSurvey:
     """Speed of the shaft, tones and strike trains of a record.
 
@@ -35,6 +41,8 @@ def survey_machine(
         What the record layer says; channels that it calls unusable are left out.
     live : bool
         Whether these are the last seconds of a stream: strikes are looked for in fewer bands, at a third of the cost.
+    without_strikes : bool
+        Whether no strikes are looked for.
 
     Returns
     -------
@@ -47,16 +55,17 @@ def survey_machine(
         Message("no_gap_free_piece", f"channel {name}: no run of 256 samples without a gap", name)
         for name in columns if name not in spectra
     ]  # fmt: skip
-    rms = {name: moments(y[:, columns[name]]).sd for name in spectra}
     units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     bank = LIMITS.live_bands_per_rate if live else LIMITS.bands_per_rate
-    strikes, struck = find_strikes(model, y, rate_hz, {name: columns[name] for name in spectra}, speed, bank)
+    searched = {} if without_strikes else {name: columns[name] for name in spectra}
+    strikes, struck = find_strikes(model, y, rate_hz, searched, speed, bank)
     if speed is None and strikes:  # their comb is not that of the shaft
         remarks = [remark for remark in remarks if remark.code != SPEED_SUGGESTED]
     lines = significant_lines(spectra)
     if speed is not None:
         remarks = rate_remarks(lines, speed, model.speed_rpm, remarks)
+    rms = {name: moments(y[:, columns[name]]).sd for name in {line.channel for line in lines}}
     tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
     shown, more = _shown(tones)
     left_out = lines_to_leave_out(lines, model.band, speed)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from estimator import Channel, DataError, Model, Setting, simulate
 from estimator.errors import NoResonanceError
-from estimator.identification.judgeable import on_judgeable_record, survey_layers
+from estimator.identification.judgeable import judging_layers, on_judgeable_record, survey_layers
 from estimator.identification.record import UsableRecord
 
 RATE_HZ = 8192.0
@@ -39,3 +42,15 @@ def test_a_place_without_a_resonance_is_left_out_and_the_others_are_judged() -> 
 
     with pytest.raises(DataError, match=r"no resonance of bearing1\.x"):
         on_judgeable_record(RIG, y, layers, refuse)
+
+
+def test_strikes_are_sought_where_a_place_would_be_refused() -> None:
+    y = simulate(RIG, RATE_HZ, 4.0, seed=1)
+    t = np.arange(len(y)) / RATE_HZ
+    since = t % (1.0 / 37.3)
+    y += (20.0 * y.std() * np.exp(-400.0 * since) * np.sin(2 * np.pi * 2500.0 * since))[:, None]
+    assert not judging_layers(RIG, y, RATE_HZ).machine.strikes
+    of_unknown_mass = replace(RIG, mass={})
+    layers = judging_layers(of_unknown_mass, y, RATE_HZ)
+    assert layers.machine.strikes
+    assert layers.structure.to_json() == survey_layers(of_unknown_mass, y, RATE_HZ).structure.to_json()
