@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
 
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
@@ -304,21 +305,23 @@ class BandLimit:
         the precision that they are transformed in."""
         finite = np.isfinite(y)
         whole = bool(finite.all())
-        spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)
+        spectra = rfft(y if whole else np.where(finite, y, 0.0), axis=1)
         out = np.zeros((len(self.outputs), len(self.kinds), self._hop), dtype)
         single, through = np.result_type(dtype, np.complex64), [3 + k for k in range(len(self._joining))]
-        passed = []
+        passed, products, rows = [], [], []
         for k, kind in enumerate(self.kinds):
-            filters = self._filters[kind]
-            product = np.multiply(filters, spectra[k], dtype=single, casting="same_kind")
-            own = [i for i in range(len(filters)) if i not in through]
-            series = np.fft.irfft(product[own] if through else product, self._size, axis=1)[:, 2 * self.half :]
-            out[[i if i < 3 else len(self.outputs) - 1 for i in own], k] = series
+            product = np.multiply(self._filters[kind], spectra[k], dtype=single, casting="same_kind")
+            own = [i for i in range(len(product)) if i not in through]
+            products.append(product[own] if through else product)
+            rows += [(i if i < 3 else len(self.outputs) - 1, k) for i in own]
             passed.append(product[3 : 3 + len(through)])
+        series = irfft(np.concatenate(products), self._size, axis=1)[:, 2 * self.half :]  # four rows at a time
+        for row, own_series in zip(rows, series, strict=True):
+            out[row] = own_series
         if through:
             each = np.stack(passed[: len(self._joining[0])], axis=1)
             joined = np.matmul(np.asarray(self._joining, dtype), each.view(dtype)).sum(axis=0).view(single)  # as reals
-            out[3, : len(self._joining[0])] = np.fft.irfft(joined, self._size, axis=1)[:, 2 * self.half :]
+            out[3, : len(self._joining[0])] = irfft(joined, self._size, axis=1)[:, 2 * self.half :]
         if whole:
             return out, np.ones(self._hop, bool)
         missing = np.concatenate([[0], np.cumsum(~finite.all(axis=0))])
