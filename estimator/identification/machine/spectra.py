@@ -155,6 +155,6 @@ def local_noise(power: Array, count: float, compared: Array | None = None) -> Ar
     noise = np.maximum((about - own) / (wide - inner), 1e-300)
     high = np.flatnonzero((power if compared is None else compared) > LIMITS.least_ratio * noise)
     near = sliding_window_view(np.pad(power, reach, mode="edge"), 2 * reach + 1)[high]
-    median = np.partition(near, reach, axis=1)[:, reach] * (count / gammaincinv(count, 0.5))
-    noise[high] = np.maximum(noise[high], median)
+    near.partition(reach, axis=1)
+    noise[high] = np.maximum(noise[high], near[:, reach] * (count / gammaincinv(count, 0.5)))
     return noise
