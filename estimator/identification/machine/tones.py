@@ -103,10 +103,10 @@ def significant_lines(spectra: Mapping[str, Sequence[LevelSpectrum]]) -> list[Li
 
 def _lines_of(channel: str, level: LevelSpectrum, log_searched: float) -> list[Line]:
     """Significant peaks of one spectrum."""
-    P = level.power
-    inner = np.arange(LIMITS.edge_bins, P.size - LIMITS.edge_bins)
-    around = np.max([P[inner + d] for d in (-2, -1, 1, 2)], axis=0) if inner.size else np.empty(0)
-    peaks = inner[P[inner] > around] if inner.size else inner
+    P, edge = level.power, LIMITS.edge_bins
+    inner = np.arange(edge, P.size - edge)
+    beside = (P[edge + d : edge + d + inner.size] for d in (-2, -1, 1, 2))
+    peaks = inner[np.all([P[edge : edge + inner.size] > power for power in beside], axis=0)]
     log_p = level.log_p(peaks) + log_searched
     clear = np.flatnonzero(log_p < np.log(LIMITS.max_false_tone_chance))
     clear = clear[np.argsort(log_p[clear])][: LIMITS.max_lines_per_level]

@@ -14,6 +14,7 @@ import numpy as np
 
 from estimator.arrays import Array, real_samples
 from estimator.model.rig import MOTION_UNITS, Model
+from estimator.parallel import map_threads
 
 from .channel_summary import longest_stretch, moments, power_spectrum, summarise, usable_hz
 from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding, RecordSurvey
@@ -116,18 +117,19 @@ def severity(
     """
     y = real_samples(y)
     survey = survey_record(model, y, rate_hz) if survey is None else survey
-    out = {}
-    for k, channel in enumerate(model.channels):
-        if channel.kind not in MOTION_UNITS or channel.name not in survey.channels:
-            continue
+
+    def severity_of(k: int) -> ChannelSeverity:
+        channel = model.channels[k]
         own = [f for f in survey.findings if channel.name in f.channels]
         z, summary = y[:, k], survey.channels[channel.name]
         if any(f.code == SPIKES_CODE for f in own):
             z = without_spikes(model, y, survey)[:, k]
             summary = summarise(z, channel.kind, rate_hz, usable_hz(model.anti_alias, rate_hz), moments(z))
         void = _wrong_values(channel.name, z, own, full_scale.get(channel.name, 0))
-        out[channel.name] = _of_channel(model, channel.kind, z, rate_hz, summary, void)
-    return out
+        return _of_channel(model, channel.kind, z, rate_hz, summary, void)
+
+    asked = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS and c.name in survey.channels]
+    return {model.channels[k].name: own for k, own in zip(asked, map_threads(severity_of, asked), strict=True)}
 
 
 def _wrong_values(name: str, z: Array, findings: Sequence[RecordFinding], at_full_scale: int) -> dict[str, str]:
