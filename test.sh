@@ -14,4 +14,4 @@ ruff check .
 mypy
 lint-imports
 wait "$compiling" || true  # the suite says what is wrong
-pytest -n 3 --dist loadfile "$@"  # of three workers on two cores one waits for a device or a process
+pytest -n 3 --dist worksteal "$@"  # of three workers on two cores one waits; one that has ended takes tests of the others
