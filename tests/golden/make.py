@@ -20,11 +20,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import jsonschema
+
 from estimator import compare, diagnose, fit, improve
 
 from .records import RECORDS, GoldenRecord
 
 RESULTS = Path(__file__).parent / "results"
+SCHEMAS = Path(__file__).parents[1] / "data" / "schemas"
 COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
 TEXTS = {"messages", "message_codes", "notes", "region", "separates", "reason"}  # wording is free
 LAYERS = {"record", "machine", "structure", "bearing"}  # of a diagnosis: each layer has its own tests
@@ -37,7 +40,9 @@ def answers(record: GoldenRecord, commands: Sequence[str] = tuple(COMMANDS)) -> 
     model, y, rate_hz = record.make()
     out: dict[str, Any] = {"samples_sha256": hashlib.sha256(y.tobytes()).hexdigest()}
     for name in commands:
-        full = without(json.loads(json.dumps(COMMANDS[name](model, y, rate_hz).to_json())), TEXTS | LAYERS)
+        answer = json.loads(json.dumps(COMMANDS[name](model, y, rate_hz).to_json()))
+        jsonschema.validate(answer, json.loads((SCHEMAS / f"{name}.json").read_text("utf-8")))
+        full = without(answer, TEXTS | LAYERS)
         digest = hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()
         out[name] = {"digest": digest, "result": without(full, DRAWN)}
     return out

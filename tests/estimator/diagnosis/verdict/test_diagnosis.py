@@ -17,7 +17,6 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.model.rig import EffectUse, Model
-from estimator.simulation.simulator import simulate
 
 UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
 
@@ -25,18 +24,6 @@ UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record
 @pytest.fixture(scope="module")
 def rig() -> Model:
     return one_bearing()
-
-
-def test_a_complete_model_is_called_complete_and_stays_as_it_is(rig: Model) -> None:
-    y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
-    ladder = improve(rig, y, RATE)
-    assert ladder.last.verdict == "complete"
-    assert len(ladder.rungs) == 1
-    value, low, _ = ladder.rungs[0].missing
-    assert low == 0.0
-    assert value < 0.3
-    jsonschema.validate(ladder.to_json(), schema("improve"))
-    jsonschema.validate(ladder.last.to_json(), schema("diagnose"))
 
 
 @pytest.mark.slow
