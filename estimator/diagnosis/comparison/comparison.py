@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from estimator.arrays import Array
@@ -146,5 +146,5 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
             *(() if survey.inconclusive is None else (survey.inconclusive,)),
             *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
-        **asdict(beside),
+        **{f.name: getattr(beside, f.name) for f in fields(beside)},
     )
