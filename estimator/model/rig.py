@@ -257,6 +257,9 @@ class Model:
         Laws of the user that are not in the model, but on trial when it is diagnosed.
     line_bands : tuple of LineBand
         Narrow lines found in the record, which are left out of the force balance.
+    deflects_at_lines : bool
+        Whether the bearings deflect at the narrow lines, as by a force. Hum of a sensor, and motion of the whole machine,
+        deflect no bearing: no law sees them.
     record_lines : tuple of LineBand or None
         All narrow lines that a survey found in the record; None: a fit looks for them.
     background : Background or None
@@ -286,6 +289,7 @@ class Model:
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
     line_bands: tuple[LineBand, ...] = ()
+    deflects_at_lines: bool = True
     record_lines: tuple[LineBand, ...] | None = None
     background: Background | None = None
     name: str = ""

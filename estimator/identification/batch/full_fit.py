@@ -44,6 +44,7 @@ from .disturbance_numbers import (
     with_resolved_parameters,
 )
 from .grid_start import fit_record
+from .line_motion import with_judged_lines
 from .thresholds import LIMITS
 from .unmeasured_end import unmeasured_end_messages
 
@@ -128,6 +129,8 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     background = find_background(full.model, full.point)
     if background is not None and not background.agrees_with(model.background):
         full = _with_background(full, replace(model, background=background), y, rate_hz)
+    model, point = with_judged_lines(full.model, full.point)
+    full = replace(full, model=model, point=point)
     _refuse_without_resonance(full.point)
     data = full.point.data
     notes = (

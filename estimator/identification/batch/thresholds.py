@@ -26,6 +26,10 @@ class Thresholds:
     # of the damping without a pedestal: an intermediate fit may fall that far below zero
     max_negative_damping_rel: float = 0.1
 
+    # line_motion
+    min_line_power_share: float = 0.01  # of the lines in a mean square displacement: less biases a law by 3 %
+    min_line_nats: float = 10.0  # that laws predict more without the lines: 20,000 to 1
+
     # long_record
     min_further_share: float = 0.25  # of the part that was fitted, from which the rest is fitted too
     max_chance_p: float = 1e-3  # of the scatter of the parts, from which it counts

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
 
 from estimator.arrays import Array, Series
 from estimator.likelihood.thresholds import LIMITS
@@ -262,6 +263,29 @@ def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:
         return data
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], excitation_shape=data.excitation_shape[:, keep],
                    undone_noise_gain=data.undone_noise_gain[:, keep])  # fmt: skip
+
+
+def without_lines(data: MotionRecord) -> MotionRecord:
+    """Record without the motion at its narrow lines, and without the force that balances it.
+
+    Each stretch is as long as its bins are narrow: a line takes its own bins and one more to either side.
+    """
+
+    def bare(z: Series) -> Series:
+        out = np.array(z)
+        for rows in data.stretches:
+            spectrum = rfft(out[..., rows])
+            step_hz = data.rate_hz / (rows.stop - rows.start)
+            for line in data.lines:
+                first = max(int(line.low_hz / step_hz), 0)
+                spectrum[..., first : int(np.ceil(line.high_hz / step_hz)) + 1] = 0.0
+            out[..., rows] = irfft(spectrum, rows.stop - rows.start)
+        return out
+
+    x, v = bare(data.x), bare(data.v)
+    rms = np.array([*np.std([x, v], axis=2), data.rms[2]])
+    inertia = {i: bare(a) for i, a in data.free_inertia.items()}
+    return replace(data, x=x, v=v, known=bare(data.known), rms=rms, free_inertia=inertia)
 
 
 def fold_record(data: MotionRecord, f: int) -> MotionRecord:

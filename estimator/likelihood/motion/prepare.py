@@ -30,7 +30,7 @@ from .force_balance import motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
-from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds
+from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds, without_lines
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
@@ -114,7 +114,7 @@ def motion_record(
     _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
-    return MotionRecord(
+    record = MotionRecord(
         places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
         v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, out_of_band_sd=np.zeros((P, 2)), rms=rms,
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model), rotor=rotor,
@@ -124,6 +124,7 @@ def motion_record(
         held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},
         background=model.background, **_spectra_of_model(model, f),
     )  # fmt: skip
+    return record if model.deflects_at_lines or not record.lines else without_lines(record)
 
 
 def _lines_passed(model: Model, rate_hz: float) -> tuple[LineBand, ...]:

@@ -1,0 +1,54 @@
+"""Whether the bearings deflect at the narrow lines of a record.
+
+A law acts on the deflection of its bearing. A periodic force deflects a bearing. Hum of a sensor does not, nor does
+motion of the whole machine, and both are large in a displacement at a low frequency. The line itself does not tell one
+from the other. A law does: it predicts more along the motion that its bearing has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.identification.residual import missing_force
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.motion_record import without_lines
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
+from estimator.model.rig import Model
+
+from .thresholds import LIMITS
+
+
+def with_judged_lines(model: Model, point: WorkingPoint) -> tuple[Model, WorkingPoint]:
+    """The model and its fit along the motion by which laws predict more: with the lines of the record, or without.
+
+    Parameters
+    ----------
+    model, point : Model, WorkingPoint
+        The fitted model. Laws see the lines.
+
+    Returns
+    -------
+    model, point
+        The same where the lines are small, or where laws do not predict more without them.
+    """
+    part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
+    if not part.data.lines or part.data.measured_force:
+        return model, point
+    bare = without_lines(part.data)
+    if np.all(bare.rms[0] ** 2 > (1.0 - LIMITS.min_line_power_share) * np.var(part.data.x, axis=1)):
+        return model, point
+    without = fit_model(bare, list(part.placed), start=part)
+    if predicted_nats(model, without) < predicted_nats(model, part) + LIMITS.min_line_nats:
+        return model, point
+    uses = list(point.placed)
+    return replace(model, deflects_at_lines=False), fit_model(without_lines(point.data), uses, start=point)
+
+
+def predicted_nats(model: Model, point: WorkingPoint) -> float:
+    """Nats that laws predict of the residual force of a linear model: those of the model, and what it lacks."""
+    found = sum(group.gain_nats for own in missing_force.survey(point, model).residuals for group in own.found)
+    if not point.placed:
+        return found
+    return found + point.fit.log_likelihood - fit_model(point.data, [], start=point).fit.log_likelihood
