@@ -91,8 +91,6 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
         before = fit_model(after.data, list(part.placed), start=part)
     samples = after.data.blocks * after.data.block
     gain = (heldout_nll(before) - heldout_nll(after)) * samples
-    if {law.key for law in entry.placed}.issubset(unidentifiable_laws(after)):
-        return JointFit(entry=entry, gain_nats=min(gain, 0.0))
     left = missing_force.survey(after, model, only=survey.missing.places_found())
     known = fitted_parameters(after)
     values = {name: known.get(name, p) for name, p in entry.parameters.items()}
