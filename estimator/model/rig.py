@@ -258,8 +258,8 @@ class Model:
     line_bands : tuple of LineBand
         Narrow lines found in the record, which are left out of the force balance.
     deflects_at_lines : bool
-        Whether the bearings deflect at the narrow lines, as by a force. Hum of a sensor, and motion of the whole machine,
-        deflect no bearing: no law sees them.
+        Whether the bearings deflect at the narrow lines, as by a force. Hum of a sensor, and motion of the whole
+        machine, deflect no bearing: no law sees them.
     record_lines : tuple of LineBand or None
         All narrow lines that a survey found in the record; None: a fit looks for them.
     background : Background or None

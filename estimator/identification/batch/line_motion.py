@@ -16,6 +16,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.motion_record import without_lines
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
+from estimator.results import Message
 
 from .thresholds import LIMITS
 
@@ -44,6 +45,15 @@ def with_judged_lines(model: Model, point: WorkingPoint) -> tuple[Model, Working
         return model, point
     uses = list(point.placed)
     return replace(model, deflects_at_lines=False), fit_model(without_lines(point.data), uses, start=point)
+
+
+def line_motion_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
+    """The remark that the bearings do not deflect at the lines of a record; none where they do."""
+    if model.deflects_at_lines:
+        return ()
+    hz = ", ".join(f"{line.centre_hz:.4g}" for line in point.data.lines[: LIMITS.max_lines_named])
+    text = f"the bearings do not deflect at the lines of {hz} Hz (hum of a sensor, or the whole machine moves)"
+    return (Message("lines_without_deflection", f"{text}: laws predict the force better without these lines"),)
 
 
 def predicted_nats(model: Model, point: WorkingPoint) -> float:
