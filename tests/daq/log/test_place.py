@@ -142,41 +142,7 @@ def test_what_is_no_measurement(folder: Path) -> None:
         assert not made(folder / "b.mcap")
 
 
-# ---- two at once, and readers of a log that grows
-
-
-@pytest.fixture(scope="module")
-def growing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A log that a service is writing, over a virtual link."""
-    folder = fill(tmp_path_factory.mktemp("growing"))
-    path = folder / "live.mcap"
-    command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", path.name, "--quiet"]
-    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as service:
-        try:
-            until(lambda: path.exists() and path.stat().st_size > 300_000)
-            yield path
-        finally:
-            service.send_signal(signal.SIGTERM)
-            assert service.wait(PATIENCE_S) == 0
-
-
-@pytest.mark.parametrize(
-    "words", [["run", "rig.toml", "--link", "virtual:"], ["simulate", "rig.toml"], ["recover", "a.mcap"]], ids=" ".join
-)
-def test_two_do_not_write_one_log(
-    growing: Path, words: list[str], capsys: pytest.CaptureFixture[str], record_property: Row
-) -> None:
-    there = logs(growing.parent)
-    assert rotorscope(growing.parent, *words, "--out", growing.name) == 4
-    assert capsys.readouterr().err.splitlines()[-1] == (
-        "rotorscope: live.mcap: another rotorscope is writing this log; stop that one, or choose another --out"
-    )
-    before = read_log(growing)
-    assert before.growing
-    until(lambda: read_log(growing).stop > before.stop)  # the first goes on
-    assert logs(growing.parent) == there
-    row = f"`{words[0]} --out` to a log that a `run` is writing | for real | refused, the run not disturbed"
-    record_property("reliability", f"{row} | status 4, the log grows on")
+# ---- two at once
 
 
 def test_one_who_waits_for_a_lock_does_not_get_what_was_moved_aside(folder: Path) -> None:
@@ -248,40 +214,6 @@ def test_two_that_begin_at_once_over_a_measurement(folder: Path, record_property
         refused += 2 - len(written)
     row = "two `run --out LOG` at once over a measurement | 40 times, threads let go together"
     record_property("reliability", f"{row} | nothing is overwritten, never two in one log | {refused} refused, held")
-
-
-@pytest.mark.slow
-def test_readers_of_a_growing_log_agree_with_themselves(growing: Path, record_property: Row) -> None:
-    assert being_written(growing)
-    for _ in range(5):
-        log = read_log(growing)
-        time.sleep(0.45)  # a chunk further on
-        assert growing.stat().st_size > (log.findings.size or 0)
-        assert len(log.samples()) == len(log.counts()) == log.stop - log.first
-        assert replay_into(log, Rig.parse(log.rig_text)).samples == log.n_samples
-    saved = recover(growing, growing.with_name("b.mcap"))
-    assert saved.lost.endswith("the log is still being written")
-    mended = read_log(growing.with_name("b.mcap"))
-    assert (mended.complete, mended.n_samples) == (True, saved.samples)
-    row = "a log read while it is written | read, samples and replay with 0.45 s between | the same length each time"
-    record_property("reliability", f"{row} | held; `info` and `recover` say that it is being written")
-
-
-def test_what_is_said_of_a_growing_log(growing: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = growing.parent
-    assert rotorscope(folder, "info", growing.name, "--json", "info.json") == 0
-    said = json.loads((folder / "info.json").read_text())
-    assert (said["complete"], said["being_written"]) == (False, True)
-    assert "not yet: it is being written" in capsys.readouterr().out
-    assert rotorscope(folder, "export", growing.name, "--to", "x.npz") == 0
-    with np.load(folder / "x.npz") as file:
-        last = len(file["b1x"]) - 1
-    assert f"live.mcap: is being written; x.npz ends with sample {last}\n" in capsys.readouterr().err
-    for words in (["replay", growing.name], ["run", "rig.toml", "--link", f"replay:{growing.name}?speed=max"]):
-        assert rotorscope(folder, *words, "--out", "again.mcap") == 0
-        assert capsys.readouterr().err.count("live.mcap: is being written; replayed up to sample") == 1, words
-        assert rotorscope(folder, "replay", "again.mcap") == 0
-        assert "is being written" not in capsys.readouterr().err  # that was then
 
 
 def test_a_log_that_holds_nothing_yet_is_not_called_another_file(folder: Path) -> None:
@@ -463,3 +395,74 @@ def test_no_length(folder: Path, seconds: str, capsys: pytest.CaptureFixture[str
     assert rotorscope(folder, *words) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert logs(folder) == ["a.mcap"]
+
+
+# ---- a log that grows: last, as the service takes a share of a core until the module ends
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A log that a service is writing, over a virtual link."""
+    folder = fill(tmp_path_factory.mktemp("growing"))
+    path = folder / "live.mcap"
+    command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", path.name, "--quiet"]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as service:
+        try:
+            until(lambda: path.exists() and path.stat().st_size > 300_000)
+            yield path
+        finally:
+            service.send_signal(signal.SIGTERM)
+            assert service.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.parametrize(
+    "words", [["run", "rig.toml", "--link", "virtual:"], ["simulate", "rig.toml"], ["recover", "a.mcap"]], ids=" ".join
+)
+def test_two_do_not_write_one_log(
+    growing: Path, words: list[str], capsys: pytest.CaptureFixture[str], record_property: Row
+) -> None:
+    there = logs(growing.parent)
+    assert rotorscope(growing.parent, *words, "--out", growing.name) == 4
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "rotorscope: live.mcap: another rotorscope is writing this log; stop that one, or choose another --out"
+    )
+    before = read_log(growing)
+    assert before.growing
+    until(lambda: read_log(growing).stop > before.stop)  # the first goes on
+    assert logs(growing.parent) == there
+    row = f"`{words[0]} --out` to a log that a `run` is writing | for real | refused, the run not disturbed"
+    record_property("reliability", f"{row} | status 4, the log grows on")
+
+
+def test_what_is_said_of_a_growing_log(growing: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = growing.parent
+    assert rotorscope(folder, "info", growing.name, "--json", "info.json") == 0
+    said = json.loads((folder / "info.json").read_text())
+    assert (said["complete"], said["being_written"]) == (False, True)
+    assert "not yet: it is being written" in capsys.readouterr().out
+    assert rotorscope(folder, "export", growing.name, "--to", "x.npz") == 0
+    with np.load(folder / "x.npz") as file:
+        last = len(file["b1x"]) - 1
+    assert f"live.mcap: is being written; x.npz ends with sample {last}\n" in capsys.readouterr().err
+    for words in (["replay", growing.name], ["run", "rig.toml", "--link", f"replay:{growing.name}?speed=max"]):
+        assert rotorscope(folder, *words, "--out", "again.mcap") == 0
+        assert capsys.readouterr().err.count("live.mcap: is being written; replayed up to sample") == 1, words
+        assert rotorscope(folder, "replay", "again.mcap") == 0
+        assert "is being written" not in capsys.readouterr().err  # that was then
+
+
+@pytest.mark.slow
+def test_readers_of_a_growing_log_agree_with_themselves(growing: Path, record_property: Row) -> None:
+    assert being_written(growing)
+    for _ in range(5):
+        log = read_log(growing)
+        time.sleep(0.45)  # a chunk further on
+        assert growing.stat().st_size > (log.findings.size or 0)
+        assert len(log.samples()) == len(log.counts()) == log.stop - log.first
+        assert replay_into(log, Rig.parse(log.rig_text)).samples == log.n_samples
+    saved = recover(growing, growing.with_name("b.mcap"))
+    assert saved.lost.endswith("the log is still being written")
+    mended = read_log(growing.with_name("b.mcap"))
+    assert (mended.complete, mended.n_samples) == (True, saved.samples)
+    row = "a log read while it is written | read, samples and replay with 0.45 s between | the same length each time"
+    record_property("reliability", f"{row} | held; `info` and `recover` say that it is being written")
