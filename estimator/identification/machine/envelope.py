@@ -159,7 +159,8 @@ def _squared_envelope_power(X: NDArray[Any], bins: int, steps: Sequence[Array]) 
         share = np.interp(np.arange(n) / n, np.arange(at.size) / at.size, at)
         for row in rows:
             row[:] = np.interp(share * n, np.arange(n), row)
-    S = rfft(envelope)[..., : bins + 1] * (n / mean)
+    envelope /= mean / n
+    S = rfft(envelope)[..., : bins + 1]
     S[..., 0] = 0.0
     windowed = 0.5 * S[..., :bins] - 0.25 * (_before(S)[..., :bins] + S[..., 1:])
     power = windowed.real.astype(np.float64) ** 2 + windowed.imag.astype(np.float64) ** 2

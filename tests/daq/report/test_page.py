@@ -66,6 +66,7 @@ def test_the_whole_story_is_on_the_page() -> None:
         assert text in page.text, text
 
 
+@pytest.mark.slow
 def test_beside_a_measured_force_the_page_does_not_say_that_only_the_response_was_measured() -> None:
     parts = made_up()
     assert "Only the response" in render(**parts)
@@ -124,6 +125,7 @@ def test_only_the_contract_keys() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_model_that_is_adequate_does_not_fail_by_the_heading() -> None:
     assert "Where the model fails" in render("t", comparison=compared(12.0, 1.0))
     adequate = render("t", comparison=compared(0.6, 1.0))

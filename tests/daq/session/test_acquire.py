@@ -168,14 +168,15 @@ def test_samples_that_a_link_held_until_the_stop_are_logged(tmp_path: Path) -> N
         held = True
 
         def read(self, timeout_s: float) -> list[Reading]:
-            if not (self._closed.is_set() and self.held):
-                return super().read(timeout_s)
-            self.held = False
-            return [vibration(2000, 500)]
+            if self._closed.is_set() and self.held:
+                self.held = False
+                return [vibration(2000, 500)]
+            if not (found := super().read(timeout_s)):
+                stop.set()
+            return found
 
     stop = threading.Event()
     driver = Holding([[INFO], [vibration(0, 2000)]], ends=False)
-    threading.Timer(0.2, stop.set).start()
     summary = acquire_from(RIG, driver, [LogWriter(tmp_path / "a.mcap")], stop=stop, make=MomentEstimator)
     assert summary.samples == read_log(tmp_path / "a.mcap").n_samples == 2500
 

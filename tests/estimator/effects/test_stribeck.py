@@ -40,6 +40,7 @@ def test_its_page_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "given" in printed
 
 
+@pytest.mark.slow
 def test_a_diagnosis_names_it_beside_dry_friction() -> None:
     """Where coulomb is in the model, what Stribeck friction adds to it is on trial."""
     rig = one_bearing()

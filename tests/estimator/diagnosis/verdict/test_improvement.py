@@ -168,6 +168,7 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
         refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE, fitted)
 
 
+@pytest.mark.slow
 def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(rig: Model) -> None:
     """The missing force is in the spectrum that the colour is seen in; left so, a sensor resonance was added later."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())

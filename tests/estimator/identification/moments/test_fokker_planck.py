@@ -94,6 +94,7 @@ def test_single_degree_of_freedom_of_the_rigid_rotor() -> None:
     assert abs(values["bearing1.x.cubic.kNL"] - LAMBDA * KL) < 4.0 * sd[1]
 
 
+@pytest.mark.slow
 def test_bootstrap_sd_of_correlated_samples() -> None:
     """On a record the samples hang together: the block bootstrap says so, a multinomial error would not."""
     x, v = langevin([0.2], [60.0], [1e7], [1.3e18], np.zeros((1, 1)), [4.5e-5], 25600.0, 8 * 25600, seed=3)

@@ -41,6 +41,7 @@ def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Mod
     assert findings["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(4.6527, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_train_with_a_harmonic_on_the_discs_resonance_is_one() -> None:
     """That one is read many times too strong, and by it the laws seemed to make the train: its second harmonics were
     named one, and all others lines."""

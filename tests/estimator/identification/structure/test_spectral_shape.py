@@ -68,6 +68,7 @@ def test_a_force_with_a_peak_is_a_background_and_no_effect(hz: float, quality: f
     assert any(m.code == "force_spectrum" and "bearing1.x" in m.text for m in found.messages)
 
 
+@pytest.mark.slow
 def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> None:
     """What noise of that sensor left of the spectrum was held against the colour: "unknown"."""
     rig = replace(one_bearing(), effects=())
@@ -96,6 +97,7 @@ def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
     assert any(m.code == "force_spectrum" and "bearing1.x" in m.text for m in found.messages)
 
 
+@pytest.mark.slow
 def test_a_law_that_bends_the_spectrum_goes_before_a_background() -> None:
     """A rotor that whirls has a peak in the force that a model without what drives it infers. Weighed by that spectrum
     the law gained a third of the nats; at both bearings of the paper's rig it was 6 % off, 20 standard deviations."""
