@@ -176,10 +176,13 @@ def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, lea
 
 
 def _resonates(problem: JointSpectrum, point: JointPoint) -> bool:
-    """Whether each cap on its bearing, damped below critical, resonates below the upper edge of the band."""
-    f0 = _resonances_hz(problem, point)
+    """Whether each cap on its bearing, damped below critical, and each mode resonate below the upper edge of the band.
+
+    The flank of a mode above the edge cannot be told from a fall of the force.
+    """
+    f0, edge_hz = _resonances_hz(problem, point), problem.spectra.f_hz[-1]
     zeta = np.exp(point.values.damping) / (4.0 * np.pi * f0 * problem.mass)
-    return bool(np.all((f0 < problem.spectra.f_hz[-1]) & (zeta < 1.0)))
+    return bool(np.all((f0 < edge_hz) & (zeta < 1.0)) and np.all(np.exp(point.values.q[:, 0]) < edge_hz))
 
 
 def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.fft import irfft
-from scipy.signal import cheby2, sosfilt
+from scipy.signal import butter, cheby2, sosfilt
 from structural_rig import CAP_MASS_KG, DAMPING_N_S_M, PART_MODE, STIFFNESS_N_M, SUPPORT_MODE
 
 from estimator import Channel, Model, compare, fit
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure.cross_spectra import CrossSpectra
 from estimator.identification.structure.joint_spectrum import JointSpectrum, JointValues, ModePlace
 from estimator.model.background import BearingBackground, StructuralMode
@@ -84,6 +85,14 @@ def test_an_unknown_filter_is_a_fall_of_the_force_spectrum_and_no_mode() -> None
         assert parameter.value == pytest.approx(true, rel=0.05)
     told = next(m.text for m in found.messages if m.code == "structural_modes")
     assert len(told.split(",")) == 2, told
+
+
+def test_a_filter_near_the_upper_edge_of_the_band_is_no_mode_there() -> None:
+    """The flank of a mode above the edge cannot be told from a fall of the force."""
+    sos = butter(8, 1900.0, output="sos", fs=RATE_HZ)
+    background = fit_all_effects(rig(), sosfilt(sos, record_with_modes(16.0), axis=0), RATE_HZ).model.background
+    assert background is not None
+    assert len(background.at["bearing1.x"].modes) == 2
 
 
 def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
