@@ -124,7 +124,7 @@ def holds_at_large_amplitudes(entry: Entry, context: Context) -> GateResult:
 
 
 def told_from_zero(entry: Entry, context: Context) -> GateResult:
-    """Fitted together with the model, the candidate is told from zero and predicts held-out data."""
+    """Fitted together with the model, the candidate predicts held-out data: it is not zero."""
     gain, least = context.fitted(entry).gain_nats, THRESHOLDS.min_gain_nats
     if gain is None:
         return GateResult(gate="told from zero", passed=True)
