@@ -245,7 +245,11 @@ def residual_harmonics(point: WorkingPoint, i: int, angle: Array, count: int) ->
 
 
 def residual_tells(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
-    """(f,) whether the residual force is the better reading of a line: in the band, if the model has laws."""
+    """(f,) whether the residual force is the better reading of a line: it has the line, in the band, and laws act."""
+    data = point.data
     if not point.placed:
         return np.zeros(f_hz.size, bool)
-    return np.asarray(passband(f_hz, point.data.rate_hz, point.data.band) > LIMITS.min_band_gain)
+    absent = np.zeros(f_hz.size, bool)
+    for line in () if data.deflects_at_lines else data.lines:
+        absent |= (f_hz >= line.low_hz) & (f_hz <= line.high_hz)
+    return np.asarray(~absent & (passband(f_hz, data.rate_hz, data.band) > LIMITS.min_band_gain))

@@ -62,6 +62,7 @@ class MotionRecord:
     disc : the disc on a massless shaft; None without one. rotor : shaft and discs as the caps move them, or None.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
     lines : narrow lines of the record in the band, whose bins are left out.
+    deflects_at_lines : whether x, v and known have these lines.
     held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
     free_inertia : by index of a place whose mass is fitted, (n,) m/s^2 band-limited acceleration.
     background : structural modes at the bearing caps; x and v are the deflection of the bearing where a support moves.
@@ -99,6 +100,7 @@ class MotionRecord:
     rotor: Rotor | None = None
     below_band_force: Series | None = None
     lines: tuple[LineBand, ...] = ()
+    deflects_at_lines: bool = True
     held: Mapping[str, float] = field(default_factory=dict)
     free_inertia: Mapping[int, Series] = field(default_factory=dict)
     background: Background | None = None
@@ -285,7 +287,7 @@ def without_lines(data: MotionRecord) -> MotionRecord:
     x, v = bare(data.x), bare(data.v)
     rms = np.array([*np.std([x, v], axis=2), data.rms[2]])
     inertia = {i: bare(a) for i, a in data.free_inertia.items()}
-    return replace(data, x=x, v=v, known=bare(data.known), rms=rms, free_inertia=inertia)
+    return replace(data, x=x, v=v, known=bare(data.known), rms=rms, free_inertia=inertia, deflects_at_lines=False)
 
 
 def fold_record(data: MotionRecord, f: int) -> MotionRecord:
