@@ -216,6 +216,10 @@ class LineBand:
         """Middle of the band, Hz."""
         return 0.5 * (self.low_hz + self.high_hz)
 
+    def holds(self, hz: float) -> bool:
+        """Whether a frequency, Hz, is in the band."""
+        return self.low_hz <= hz <= self.high_hz
+
 
 @dataclass(frozen=True, slots=True)
 class Model:

@@ -27,7 +27,7 @@ from estimator import compare, diagnose, fit, improve
 from .records import RECORDS, GoldenRecord
 
 RESULTS = Path(__file__).parent / "results"
-SCHEMAS = Path(__file__).parents[1] / "data" / "schemas"
+SCHEMA_FOLDER = Path(__file__).parents[1] / "data" / "schemas"
 COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
 TEXTS = {"messages", "message_codes", "notes", "region", "separates", "reason"}  # wording is free
 LAYERS = {"record", "machine", "structure", "bearing"}  # of a diagnosis: each layer has its own tests
@@ -41,7 +41,7 @@ def answers(record: GoldenRecord, commands: Sequence[str] = tuple(COMMANDS)) -> 
     out: dict[str, Any] = {"samples_sha256": hashlib.sha256(y.tobytes()).hexdigest()}
     for name in commands:
         answer = json.loads(json.dumps(COMMANDS[name](model, y, rate_hz).to_json()))
-        jsonschema.validate(answer, json.loads((SCHEMAS / f"{name}.json").read_text("utf-8")))
+        jsonschema.validate(answer, json.loads((SCHEMA_FOLDER / f"{name}.json").read_text("utf-8")))
         full = without(answer, TEXTS | LAYERS)
         digest = hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()
         out[name] = {"digest": digest, "result": without(full, DRAWN)}

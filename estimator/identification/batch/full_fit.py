@@ -140,7 +140,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *upper_edge.upper_edge_messages(full.model, full.point),
         *excitation_level.uneven_message(data.level),
         *_background_messages(full.model),
-        *line_motion_messages(full.model, full.point),
+        *line_motion_messages(data),
         *unmeasured_end_messages(full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))),
         *_hysteresis_messages(full.point),
         *_periodic_messages(full.model, full.point),

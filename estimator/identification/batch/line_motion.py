@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.motion_record import without_lines
+from estimator.likelihood.motion.motion_record import MotionRecord, without_lines
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message
@@ -27,16 +27,17 @@ def with_judged_lines(model: Model, point: WorkingPoint) -> tuple[Model, Working
     Parameters
     ----------
     model, point : Model, WorkingPoint
-        The fitted model. Laws see the lines.
+        The fitted model.
 
     Returns
     -------
     model, point
-        The same where the lines are small, or where laws do not predict more without them.
+        The same where the lines are small or taken out already, or where laws do not predict more without them.
     """
-    part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
-    if not part.data.lines or part.data.measured_force:
+    data = point.data
+    if not data.lines or not data.deflects_at_lines or data.measured_force:
         return model, point
+    part = point_on_part(point, missing_force.survey_seconds(data.rate_hz))
     bare = without_lines(part.data)
     if np.all(bare.rms[0] ** 2 > (1.0 - LIMITS.min_line_power_share) * np.var(part.data.x, axis=1)):
         return model, point
@@ -44,14 +45,14 @@ def with_judged_lines(model: Model, point: WorkingPoint) -> tuple[Model, Working
     if predicted_nats(model, without) < predicted_nats(model, part) + LIMITS.min_line_nats:
         return model, point
     uses = list(point.placed)
-    return replace(model, deflects_at_lines=False), fit_model(without_lines(point.data), uses, start=point)
+    return replace(model, deflects_at_lines=False), fit_model(without_lines(data), uses, start=point)
 
 
-def line_motion_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
+def line_motion_messages(data: MotionRecord) -> tuple[Message, ...]:
     """The remark that the bearings do not deflect at the lines of a record; none where they do."""
-    if model.deflects_at_lines:
+    if data.deflects_at_lines:
         return ()
-    hz = ", ".join(f"{line.centre_hz:.4g}" for line in point.data.lines[: LIMITS.max_lines_named])
+    hz = ", ".join(f"{line.centre_hz:.4g}" for line in data.lines[: LIMITS.max_lines_named])
     text = f"the bearings do not deflect at the lines of {hz} Hz (hum of a sensor, or the whole machine moves)"
     return (Message("lines_without_deflection", f"{text}: laws predict the force better without these lines"),)
 

@@ -29,5 +29,5 @@ def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
         columns = {c.name: i for i, c in enumerate(model.channels) if c.kind in MOTION_UNITS}
         lines = significant_lines(channel_spectra(y, rate_hz, columns))
         found = tuple(joined_bands(line.band for line in lines_to_leave_out(lines, model.band)))
-    bands = tuple(b for b in found if not any(b.low_hz <= hz <= b.high_hz for hz in own))
+    bands = tuple(b for b in found if not any(b.holds(hz) for hz in own))
     return replace(model, line_bands=bands)

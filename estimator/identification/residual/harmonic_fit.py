@@ -249,7 +249,6 @@ def residual_tells(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
     data = point.data
     if not point.placed:
         return np.zeros(f_hz.size, bool)
-    absent = np.zeros(f_hz.size, bool)
-    for line in () if data.deflects_at_lines else data.lines:
-        absent |= (f_hz >= line.low_hz) & (f_hz <= line.high_hz)
-    return np.asarray(~absent & (passband(f_hz, data.rate_hz, data.band) > LIMITS.min_band_gain))
+    taken_out = () if data.deflects_at_lines else data.lines
+    there = np.array([not any(line.holds(hz) for line in taken_out) for hz in f_hz], bool)
+    return np.asarray(there & (passband(f_hz, data.rate_hz, data.band) > LIMITS.min_band_gain))

@@ -54,17 +54,17 @@ def find_impact_train(
         Z: Array = np.asarray(np.max([Zs[:, bins + d] for d in (-1, 0, 1)], axis=0))
         # a Hann line fills three bins; the largest of three is about 1.8 by chance
         gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
-        shared = np.clip(Z - 3.0, 0.0, LIMITS.max_line_power_ratio).sum(axis=1) - 0.15 * harmonics.size
-        clear = float(shared.sum())
+        bounded = np.clip(Z - 3.0, 0.0, LIMITS.max_line_power_ratio).sum(axis=1) - 0.15 * harmonics.size
+        clear = float(bounded.sum())
         enough = 40 + 5 * np.sqrt(harmonics.size)
-        i = int(np.argmax(shared))  # one harmonic alone may be a tone, or on a resonance
+        i = int(np.argmax(bounded))  # one harmonic alone may be a tone, or on a resonance
         visible = int((Z[i] > LIMITS.visible_power_ratio).sum())
-        if visible < 4 or shared[i] <= enough or (best is not None and clear <= won * _clarity_ratio(hz, fundamental)):
+        if visible < 4 or bounded[i] <= enough or (best is not None and clear <= won * _clarity_ratio(hz, fundamental)):
             continue
         F, unit = forces_of_lines(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
         if not _has_all_harmonics(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
             continue
-        places = [point.data.places[j] for j in range(len(gains)) if shared[j] > enough]
+        places = [point.data.places[j] for j in range(len(gains)) if bounded[j] > enough]
         best, fundamental, won = _defect_finding(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
     return best, fundamental
 

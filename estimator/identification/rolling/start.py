@@ -74,7 +74,7 @@ def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
         high - low
     ):
         return model
-    new = [hz for hz in known if not any(b.low_hz <= hz <= b.high_hz for b in model.line_bands)]
+    new = [hz for hz in known if not any(b.holds(hz) for b in model.line_bands)]
     bands = (*model.line_bands, *(LineBand(low_hz=hz, high_hz=hz, power_over_psd_hz=0.0) for hz in new))
     return replace(model, line_bands=tuple(sorted(bands, key=lambda b: b.low_hz)))
 

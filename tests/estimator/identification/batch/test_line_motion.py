@@ -13,7 +13,7 @@ from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
 LINE_HZ = 200.0
-SECONDS = 6.0
+RECORD_S = 6.0
 STRENGTH_N_M3 = 2.5e18
 
 
@@ -39,12 +39,12 @@ def error_sd(found: FullFit) -> float:
 
 
 def test_no_law_sees_the_hum_of_a_sensor(rig: Model) -> None:
-    y = simulate(rig, RATE, SECONDS, seed=4)
+    y = simulate(rig, RATE, RECORD_S, seed=4)
     hum = 0.1 * y.std() * np.sin(2 * np.pi * LINE_HZ * np.arange(len(y)) / RATE)
     assert error_sd(fitted(rig, y + hum[:, None], lines_deflect=False)) < 2.5
 
 
 def test_a_law_sees_the_deflection_by_a_periodic_force(rig: Model) -> None:
     force = {p: {"frequency": Setting(LINE_HZ), "a": Setting(4.0), "b": Setting(0.0)} for p in rig.places}
-    y = simulate(replace(rig, effects=(*rig.effects, EffectUse("line", force))), RATE, SECONDS, seed=4)
+    y = simulate(replace(rig, effects=(*rig.effects, EffectUse("line", force))), RATE, RECORD_S, seed=4)
     assert error_sd(fitted(rig, y, lines_deflect=True)) < 2.5
