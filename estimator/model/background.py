@@ -145,6 +145,8 @@ class BearingBackground:
         Of the bearing with the mean tangents of its laws, N/m and N s/m, that the support is in series with.
     f_hz, psd_rel : (knots,) float64
         Spectrum of the force over that of the model, mean 1; linear between the knots in logarithms.
+    noise_ratio : float
+        Power of the sensor noise, referred to force, over that of the force: a start of the fit.
     knot_octaves : float
         Distance of the knots of the spline behind `psd_rel`; infinite of a white force.
     fall_power : int
@@ -158,6 +160,7 @@ class BearingBackground:
     damping: float
     f_hz: Array
     psd_rel: Array
+    noise_ratio: float = 0.0
     knot_octaves: float = np.inf
     fall_power: int = 0
     stiffness_sd_rel: float = 0.0

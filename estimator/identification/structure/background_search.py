@@ -21,9 +21,18 @@ from estimator.model.rig import Model
 
 from .cross_spectra import Work
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
-from .spectral_problem import caps_by_direction, measured_spectra, spectral_problem, start_values, with_known_background
+from .spectral_problem import (
+    caps_by_direction,
+    measured_spectra,
+    smooth_start,
+    spectral_problem,
+    start_values,
+    with_known_background,
+)
 from .spectral_shape import nats_of_one_cause
 from .thresholds import LIMITS
+
+Solution = tuple[JointSpectrum, JointPoint]
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -73,7 +82,7 @@ def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tupl
     SearchTooLongError
         The search would do more.
     """
-    if point.data.measured_force or not np.all(point.kL > 0.0):
+    if point.data.measured_force:
         return None, 0.0
     at: dict[str, BearingBackground] = {}
     gain_nats = 0.0
@@ -93,11 +102,16 @@ def _of_direction(
     least = LIMITS.min_gain_nats * force_dispersion(point)
     try:
         if (known := with_known_background(problem, point, model.background)) is None:
-            found = first = problem.maximised(start_values(problem, point))
+            first = problem.maximised(start_values(problem, point))
+            if float(problem.misfit(first).max()) < LIMITS.min_unknown_depth_rms:
+                return {}, 0.0
+            starts = [smooth_start(problem, point, power) for power in LIMITS.fall_powers]
+            problem, found = max(starts, key=lambda one: one[1].log_likelihood)
+            problem, found = search_from_smooth_force(problem, found, least)
         else:
             problem, found = known
-            first, found = None, without_idle_modes(problem, found, least)
-        problem, found = search_background(problem, found, least)
+            first = None
+            problem, found = search_background(problem, without_idle_modes(problem, found, least), least)
     except np.linalg.LinAlgError:
         return {}, 0.0
     gained = least if first is None else found.log_likelihood - first.log_likelihood
@@ -106,6 +120,20 @@ def _of_direction(
     if not _resonates(problem, found):
         return {}, 0.0
     return dict(backgrounds(problem, found, point)), gained
+
+
+def search_from_smooth_force(problem: JointSpectrum, point: JointPoint, least: float) -> Solution:
+    """The likelier problem and point of two searches, which end elsewhere: from smooth forces, and from white ones.
+
+    The second is made where the first leaves something to be explained. least : nats that a mode has to gain.
+    """
+    best = search_background(problem, point, least, thorough=True)
+    if float(best[0].misfit(best[1]).max()) < LIMITS.explained_misfit:
+        return best
+    white = replace(problem, octaves=np.inf, fall_power=0)
+    begun = white.maximised(white.respaced(point.values, problem))
+    other = search_background(white, begun, least, thorough=True)
+    return max(best, other, key=lambda one: score_nats(one[1], least))
 
 
 def search_background(
@@ -120,7 +148,7 @@ def search_background(
     while True:
         problem, point = _with_more(problem, point, least)
         other = _in_likelier_forms(problem, point, least)
-        changed = _score(other, least) - _score(point, least) > least
+        changed = score_nats(other, least) - score_nats(point, least) > least
         point = without_idle_modes(problem, other, least)
         if not changed:
             return problem, point
@@ -172,7 +200,7 @@ def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, lea
         return point
     if found.log_likelihood < point.log_likelihood:
         found = without_idle_modes(problem, found, least)
-    return found if _resonates(problem, found) and _score(found, least) > _score(point, least) else point
+    return found if _resonates(problem, found) and score_nats(found, least) > score_nats(point, least) else point
 
 
 def _resonates(problem: JointSpectrum, point: JointPoint) -> bool:
@@ -190,7 +218,7 @@ def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:
     return np.asarray(np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi))
 
 
-def _score(point: JointPoint, least: float) -> float:
+def score_nats(point: JointPoint, least: float) -> float:
     """Nats of a point, less what its modes cost."""
     return point.log_likelihood - least * len(point.values.modes)
 
@@ -350,7 +378,7 @@ def backgrounds(
     f = cells if problem.fall_power else np.geomspace(cells[0], cells[-1], LIMITS.shape_knots)
     for cap, i in enumerate(problem.spectra.places):
         ln_psd = np.interp(np.log(f), np.log(problem.spectra.f_hz), problem.basis @ values.force[cap])
-        psd = np.exp(ln_psd - np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
+        ln_mean = float(np.log(np.mean(np.exp(problem.basis @ values.force[cap]))))
         tangent = problem.laws[:, cap]
         yield (
             point.data.places[i],
@@ -359,7 +387,8 @@ def backgrounds(
                 stiffness=float(np.exp(values.stiffness[cap]) + tangent.real.mean()),
                 damping=float(np.exp(values.damping[cap]) + (tangent / found.s).real.mean()),
                 f_hz=f,
-                psd_rel=psd,
+                psd_rel=np.exp(ln_psd - ln_mean),
+                noise_ratio=float(np.exp(values.noise[cap] - ln_mean)),
                 knot_octaves=problem.octaves,
                 fall_power=problem.fall_power,
                 stiffness_sd_rel=float(more[0, cap]),

@@ -12,27 +12,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from estimator.arrays import Array
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-from .background_search import force_dispersion, search_background, without_idle_modes
+from .background_search import (
+    Solution,
+    force_dispersion,
+    score_nats,
+    search_background,
+    search_from_smooth_force,
+    without_idle_modes,
+)
 from .cross_spectra import CrossSpectra, Work
 from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
     cap_masses,
     caps_by_direction,
     measured_spectra,
+    smooth_start,
     spectral_problem,
-    start_values,
     with_known_background,
 )
 from .thresholds import LIMITS
-
-SCANNED_FACTORS = np.geomspace(0.125, 8.0, 19)  # of a bearing's stiffness: a wrong rig has moved it
-
-Solution = tuple[JointSpectrum, JointPoint]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,18 +148,11 @@ class RigSpectra:
         """
         found = []
         for problem, point in self._started(model, channels, start):
-            best = search_background(problem, point, self.cost_nats, thorough=True)
-            if start is None and not _explains(best):  # greedy steps from white forces end elsewhere
-                white = replace(problem, octaves=np.inf, fall_power=0)
-                begun = white.maximised(white.respaced(point.values, problem))
-                other = search_background(white, begun, self.cost_nats, thorough=True)
-                best = max(best, other, key=self._nats)
-            found.append(best)
+            if start is None:
+                found.append(search_from_smooth_force(problem, point, self.cost_nats))
+            else:
+                found.append(search_background(problem, point, self.cost_nats, thorough=True))
         return self._fit(found, channels)
-
-    def _nats(self, solution: Solution) -> float:
-        """Log-likelihood less what the modes cost."""
-        return solution[1].log_likelihood - self.cost_nats * len(solution[1].values.modes)
 
     def without_idle_modes(self, fit: RigFit) -> RigFit:
         """The fit without the modes that gain less than they cost."""
@@ -173,7 +168,7 @@ class RigSpectra:
         each = [problem.coherence(point) for problem, point in solutions]
         coherent, paid = sum(nats for nats, _ in each), sum(paid for _, paid in each)
         return RigFit(
-            nats=sum(map(self._nats, solutions)),
+            nats=sum(score_nats(point, self.cost_nats) for _, point in solutions),
             misfit=max(float(problem.misfit(point).max()) for problem, point in solutions),
             coherence_p_value=float(chdtrc(paid, 2.0 * coherent)) if paid else 1.0,
             coherence_nats=max(coherent - 0.5 * paid, 0.0),
@@ -211,8 +206,8 @@ class RigSpectra:
         ratio = cap_masses(model, point) / point.data.mass[source]
         moved = replace(point, kL=point.kL[source] * ratio, S=point.S[source] * ratio**2, nu=point.nu[source])
         if self._fall_power:
-            return _smooth(problem, moved, self._fall_power)
-        each = [_smooth(problem, moved, power) for power in LIMITS.fall_powers]
+            return smooth_start(problem, moved, self._fall_power)
+        each = [smooth_start(problem, moved, power) for power in LIMITS.fall_powers]
         best = max(each, key=lambda one: one[1].log_likelihood)
         self._fall_power = best[0].fall_power  # one recorder has all channels
         return best
@@ -240,17 +235,6 @@ class RigSpectra:
         )  # fmt: skip
 
 
-def _explains(solution: Solution) -> bool:
-    """Whether nothing is seen in the spectra of a direction that a further search could explain."""
-    return float(solution[0].misfit(solution[1]).max()) < LIMITS.explained_misfit
-
-
-def _smooth(problem: JointSpectrum, point: WorkingPoint, fall_power: int) -> Solution:
-    """The problem with smooth spectra of the forces, and its point without modes."""
-    smooth = replace(problem, octaves=LIMITS.plain_octaves, fall_power=fall_power)
-    return smooth, _tried(smooth, _with_scanned_stiffness(smooth, start_values(smooth, point)))
-
-
 def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
     """The point from values of another rig."""
     return problem.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)
@@ -269,38 +253,3 @@ def _at_same_resonance(
     shaft, new = float(old.shaft[at[0], cap0, cap0].real), float(problem.shaft[at[1], cap, cap].real)
     ratio = float(np.exp(heavier))
     return float(np.log(max(ratio * (kL + shaft) - new, LIMITS.min_kept_stiffness_rel * ratio * kL)))
-
-
-def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> JointValues:
-    """Values with the stiffness of all bearings, then of each, at which the spectra differ least from their shapes.
-
-    The spectra of the forces are those that explain the rest.
-    """
-    part = _thinned(problem, LIMITS.scanned_each)
-    caps = np.eye(problem.mass.size)
-    for moved in (np.ones(problem.mass.size), *caps, *caps):
-        tried = [replace(values, stiffness=values.stiffness + u * moved) for u in (0.0, *np.log(SCANNED_FACTORS))]
-        values = tried[int(np.argmin([_shape_misfit(part, v)[0] for v in tried]))]
-    return replace(values, force=values.force + _shape_misfit(problem, values)[1])
-
-
-def _thinned(problem: JointSpectrum, step: int) -> JointSpectrum:
-    """The problem with one of `step` cells."""
-    cells = {name: getattr(problem.spectra, name)[::step] for name in ("f_hz", "psd", "n", "noise")}
-    rotor = {name: getattr(problem, name)[::step] for name in ("Z0", "laws", "shape", "shaft")}
-    return replace(problem, spectra=replace(problem.spectra, **cells), **rotor)
-
-
-def _shape_misfit(problem: JointSpectrum, values: JointValues) -> tuple[float, Array]:
-    """Variance of ln(measured / model) that no spectra of the forces explain, summed over caps; infinite for no model.
-
-    And (caps, splines) the change of these spectra that explains the rest.
-    """
-    try:
-        point = problem.at(values)
-    except np.linalg.LinAlgError:
-        return np.inf, np.zeros_like(values.force)
-    ln_power = np.log(np.einsum("fii->fi", point.signal).real + point.N)
-    ln_ratio = np.log(np.einsum("fii->fi", problem.spectra.psd).real) - ln_power
-    change = np.linalg.lstsq(problem.basis, ln_ratio, rcond=None)[0]
-    return float(np.sum(np.var(ln_ratio - problem.basis @ change, axis=0))), np.asarray(change.T)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
@@ -58,7 +59,7 @@ def spectral_problem(
     laws = _law_response(point, spectra.f_hz)[:, tangents_of]
     shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
     mass = cap_masses(model, point)[own]
-    _, c = sound_stiffness_and_damping(point)
+    _, c = _sound_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
     return JointSpectrum(
         spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
@@ -96,6 +97,8 @@ def _inertia(model: Model, point: WorkingPoint, own: list[int], f_hz: Array) -> 
 
 def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
     """(f, places) N/m, mean response of the laws at each place to the deflection of its bearing, without kL and c."""
+    if not point.placed:
+        return np.zeros((f_hz.size, len(point.data.places)), np.complex128)
     data, s = point.data, 2j * np.pi * point.data.f_hz
     total = -(s * s)[:, None] * (data.mass - np.einsum("fii->fi", point.A)) - np.einsum("fii->fi", data.shaft)
     if data.background is not None:
@@ -104,23 +107,33 @@ def _law_response(point: WorkingPoint, f_hz: Array) -> Complexes:
     return np.array([np.interp(f_hz, data.f_hz, z.real) + 1j * np.interp(f_hz, data.f_hz, z.imag) for z in laws]).T
 
 
-def sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
-    """(places,) N/m and N s/m, of the fit, but a stiffness above zero, and a damping of 0.1 % of critical at least."""
-    k = np.maximum(point.kL, LIMITS.min_stiffness_rel * np.abs(point.kL).max())
-    return k, np.maximum(point.c, 2e-3 * np.sqrt(k * point.data.mass))
-
-
 def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
-    """Values of the fitted model."""
+    """Values of the fitted model; of a resonance at the middle of the band where the fit has none below its top."""
     own = list(problem.spectra.places)
     power = np.einsum("fii->fi", problem.spectra.psd).real
     least = LIMITS.start_noise_rel * np.min(power / problem.spectra.noise, axis=0)
+    noise = np.where(_is_sound(point), point.nu * point.S, 0.0)[own]
     return JointValues(
         force=np.log(point.S[own])[:, None] * problem.flat,
-        noise=np.log(np.maximum((point.nu * point.S)[own], least)),
-        stiffness=np.log(sound_stiffness_and_damping(point)[0][own]),
+        noise=np.log(np.maximum(noise, least)),
+        stiffness=np.log(_sound_stiffness_and_damping(point)[0][own]),
         damping=problem.damping0.copy(),
     )
+
+
+def _sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
+    """(places,) N/m and N s/m to start from."""
+    low, high = 2.0 * np.pi * np.asarray(point.data.band)
+    k = np.where(_is_sound(point), point.kL, point.data.mass * low * high)
+    critical = 2.0 * np.sqrt(k * point.data.mass)
+    c = np.where(_is_sound(point), point.c, LIMITS.start_damping_ratio * critical)
+    return k, np.maximum(c, LIMITS.min_start_damping_ratio * critical)
+
+
+def _is_sound(point: WorkingPoint) -> NDArray[np.bool_]:
+    """(places,) whether a cap alone on its bearing resonates, below the top of the band."""
+    top = point.data.mass * (2.0 * np.pi * point.data.band[1]) ** 2
+    return np.asarray((point.kL > LIMITS.min_stiffness_rel * top) & (point.kL < top))
 
 
 def with_known_background(
@@ -141,3 +154,58 @@ def with_known_background(
             q = np.log([m.frequency_hz, m.damping, m.mass / problem.mass[cap]])
             values = values.with_mode(ModePlace(cap, m.form), q)
     return problem, problem.maximised(values)
+
+
+def smooth_start(problem: JointSpectrum, point: WorkingPoint, fall_power: int) -> tuple[JointSpectrum, JointPoint]:
+    """The problem with smooth spectra of the forces, and its point without modes at the best stiffness of a scan.
+
+    fall_power : of the frequency in ln S.
+    """
+    smooth = replace(problem, octaves=LIMITS.plain_octaves, fall_power=fall_power)
+    values = _with_scanned_stiffness(smooth, start_values(smooth, point))
+    return smooth, smooth.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)
+
+
+def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> JointValues:
+    """Values with the stiffness of all bearings, then of each, at which the spectra differ least from their shapes.
+
+    Each cap alone on its bearing resonates in the band. The spectra of the forces are those that explain the rest.
+    """
+    part = _thinned(problem, LIMITS.scanned_each)
+    low, high = np.log(part.spectra.f_hz[[0, -1]])
+    f = np.linspace(low + np.log(LIMITS.lowest_scanned_rel), high, int((high - low) * LIMITS.scanned_per_e_fold))
+    ln_k = np.log(problem.mass)[:, None] + 2.0 * (np.log(2.0 * np.pi) + f)
+    caps = range(problem.mass.size)
+    for moved in (list(caps), *([cap] for cap in caps), *([cap] for cap in caps)):
+        tried = [values, *(_with_stiffness(values, moved, k) for k in ln_k[moved].T)]
+        values = tried[int(np.argmin([_shape_misfit(part, v)[0] for v in tried]))]
+    return replace(values, force=values.force + _shape_misfit(problem, values)[1])
+
+
+def _with_stiffness(values: JointValues, caps: list[int], ln_k: Array) -> JointValues:
+    """Values with other stiffness of the bearings of some caps, in logarithms."""
+    stiffness = values.stiffness.copy()
+    stiffness[caps] = ln_k
+    return replace(values, stiffness=stiffness)
+
+
+def _thinned(problem: JointSpectrum, step: int) -> JointSpectrum:
+    """The problem with one of `step` cells."""
+    cells = {name: getattr(problem.spectra, name)[::step] for name in ("f_hz", "psd", "n", "noise")}
+    rotor = {name: getattr(problem, name)[::step] for name in ("Z0", "laws", "shape", "shaft")}
+    return replace(problem, spectra=replace(problem.spectra, **cells), **rotor)
+
+
+def _shape_misfit(problem: JointSpectrum, values: JointValues) -> tuple[float, Array]:
+    """Variance of ln(measured / model) that no spectra of the forces explain, summed over caps; infinite for no model.
+
+    And (caps, splines) the change of these spectra that explains the rest.
+    """
+    try:
+        point = problem.at(values)
+    except np.linalg.LinAlgError:
+        return np.inf, np.zeros_like(values.force)
+    ln_power = np.log(np.einsum("fii->fi", point.signal).real + point.N)
+    ln_ratio = np.log(np.einsum("fii->fi", problem.spectra.psd).real) - ln_power
+    change = np.linalg.lstsq(problem.basis, ln_ratio, rcond=None)[0]
+    return float(np.sum(np.var(ln_ratio - problem.basis @ change, axis=0))), np.asarray(change.T)

@@ -85,7 +85,8 @@ def _start_values(
     """The record with the motion that laws see at the start, and the first kL, c, nu and S, (places,) each."""
     if start is None:
         kL, c, S = _first_linear_values(data)
-        nu = np.zeros(len(data.places))
+        around = {} if data.background is None else data.background.at
+        nu = np.array([around[p].noise_ratio if p in around else 0.0 for p in data.places])
         return _denoised(replace(data, out_of_band_sd=_out_of_band_sd_at(data, c, kL, S)), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
