@@ -154,8 +154,8 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of a
     defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
     named only where no model of the bearings explains the record and no impacts repeat, which have many lines. A wrong
-    speed or rate in the rig file is named where nothing is missing, or nothing but a line has a name. Where no speed
-    names a tone that dominates, nothing is called complete.
+    speed or rate in the rig file is named where nothing is missing, or nothing but a line or a spectral shape has a
+    name: a wrong rate distorts every spectrum. Where no speed names a tone that dominates, nothing is called complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
@@ -169,7 +169,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
         verdict = "unknown"
     if not keeps:
         bearing = _without_notes_on_the_first(bearing)
-    mistaken = rig_file_entry(model, machine, rate_hz) if verdict in ("complete", "unknown", *LINE_NAMES) else None
+    mistaken = rig_file_entry(model, machine, rate_hz) if _goes_after_mistakes(verdict) else None
     if mistaken is not None:
         verdict = RIG_FILE
         bearing = replace(bearing, ranking=(mistaken[0], *bearing.ranking), messages=(mistaken[1], *bearing.messages))
@@ -209,6 +209,12 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
     """Whether a verdict is that nothing is missing, or a cause that is no law and makes no tone."""
     effect = NAMED.get(verdict)
     return verdict == "complete" if effect is None else effect.found_by != "law" and verdict not in PERIODIC_EFFECTS
+
+
+def _goes_after_mistakes(verdict: str) -> bool:
+    """Whether a verdict names nothing, a line, or what shapes a spectrum."""
+    effect = NAMED.get(verdict)
+    return verdict in ("complete", "unknown", *LINE_NAMES) or (effect is not None and effect.found_by == "spectrum")
 
 
 def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:

@@ -49,7 +49,7 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
     start = {p: float(np.exp(ln_mass)) for p, (ln_mass, _) in scale.ln_mass.items()}
     found = {f"{p}.m": Parameter.from_estimate(start[p], sd * start[p], "kg") for p, (_, sd) in scale.ln_mass.items()}
     model = replace(model, background=scale.background)
-    if all(q.identifiable for q in found.values()):
+    if scale.background is None and all(q.identifiable for q in found.values()):
         found = _refined_masses(model, y, rate_hz, start, found)
     known = {p: found[f"{p}.m"].value or m for p, m in start.items()}
     return replace(model, mass={**model.mass, **known}), found
@@ -58,7 +58,10 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
 def _refined_masses(
     model: Model, y: Array, rate_hz: float, start: Mapping[str, float], found: Mapping[str, Parameter]
 ) -> dict[str, Parameter]:
-    """The masses fitted together with the laws of the model; those of the spectra where that fit departs from them."""
+    """The masses fitted together with the laws of the model; those of the spectra where that fit departs from them.
+
+    The fit holds a background: with one, the spectra alone give the uncertainty of a mass.
+    """
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC_EFFECTS)
     bare = replace(model, effects=laws)
     try:

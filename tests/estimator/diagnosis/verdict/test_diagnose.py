@@ -254,6 +254,7 @@ def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else
     assert found.verdict == found.ranking[0].effect == "rig_file"
     assert {key: p.value for key, p in found.ranking[0].parameters.items()} == pytest.approx(values)
     assert verdict(judged("cubic"), model=rig, remarks=remarks).verdict == "cubic"
+    assert verdict(judged("pedestal"), model=rig, remarks=remarks).verdict == "rig_file"
     assert verdict(judged("complete"), model=rig).verdict == "complete"
 
 

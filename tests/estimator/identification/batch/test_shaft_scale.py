@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.fft import irfft
 from structural_rig import SUPPORT_MODE
 
@@ -38,15 +39,16 @@ def record(seed: int) -> np.ndarray:
     return irfft(motion, n, axis=0) * 100.0
 
 
-def test_the_shaft_gives_the_masses_beside_a_structural_mode() -> None:
-    found = fit(rig(), record(1), RATE_HZ)
+@pytest.mark.parametrize("seed", [1, 3, 8])
+def test_the_shaft_gives_the_masses_beside_a_structural_mode(seed: int) -> None:
+    """A mass of seed 8 was 0.342 +- 0.003 kg, of 0.5 kg: its sd did not hold what the mode is not known by."""
+    found = fit(rig(), record(seed), RATE_HZ)
     for cap, place in enumerate(("bearing1.x", "bearing2.x")):
         for name, true in (("m", CAPS_KG[cap]), ("kL", KL[cap])):
             parameter = found.parameters[f"{place}.{name}"]
             assert parameter.value is not None
             assert parameter.sd is not None
-            assert abs(parameter.value - true) < 4.0 * parameter.sd, (place, name, parameter)
-            assert parameter.sd < 0.2 * true
+            assert abs(parameter.value - true) < 3.0 * parameter.sd, (place, name, parameter)
 
 
 def test_a_soft_shaft_gives_ratios_and_no_mass() -> None:
