@@ -84,6 +84,9 @@ def test_every_gate_lets_pass_and_refuses_by_its_number(context: Context) -> Non
     assert gains_in_folds(entry(folds=(30.0, -1.0, 20.0, 0.5, 3.0, 2.0)), good).passed
     bad = JointFit(entry=entry(), left_rel=0.5, gain_nats=1.0)
     assert not told_from_zero(entry(), replace(context, fits={"clearance": bad})).passed
+    for numbers, passed in ((Parameter(1e6, 2e5, "N/m"), True), (Parameter.from_estimate(1e6, 8e5, "N/m"), False)):
+        weak = JointFit(entry=entry(parameters={"bearing1.x.clearance.k": numbers}), left_rel=0.1, gain_nats=8.0)
+        assert told_from_zero(entry(), replace(context, fits={"clearance": weak})).passed is passed
     assert not leaves_little(entry(), replace(context, fits={"clearance": bad})).passed
     unsure = leaves_little(entry(), replace(context, fits={"clearance": replace(bad, least_left_rel=0.1)}))
     assert unsure.passed
