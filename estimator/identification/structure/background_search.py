@@ -6,8 +6,7 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -106,8 +105,8 @@ def _of_direction(
             if float(problem.misfit(first).max()) < LIMITS.min_unknown_depth_rms:
                 return {}, 0.0
             starts = [smooth_start(problem, point, power) for power in LIMITS.fall_powers]
-            problem, found = max(starts, key=lambda one: one[1].log_likelihood)
-            problem, found = search_from_smooth_force(problem, found, least)
+            smooth = max(starts, key=lambda one: one[1].log_likelihood)
+            problem, found = search_from_starts([smooth, (problem, first)], least)
         else:
             problem, found = known
             first = None
@@ -122,18 +121,19 @@ def _of_direction(
     return dict(backgrounds(problem, found, point)), gained
 
 
-def search_from_smooth_force(problem: JointSpectrum, point: JointPoint, least: float) -> Solution:
-    """The likelier problem and point of two searches, which end elsewhere: from smooth forces, and from white ones.
+def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
+    """The best problem and point of greedy searches, which end elsewhere from other starts.
 
-    The second is made where the first leaves something to be explained. least : nats that a mode has to gain.
+    A search from white forces follows where the others leave something to be explained. least : nats that a mode has to
+    gain.
     """
-    best = search_background(problem, point, least, thorough=True)
-    if float(best[0].misfit(best[1]).max()) < LIMITS.explained_misfit:
-        return best
-    white = replace(problem, octaves=np.inf, fall_power=0)
-    begun = white.maximised(white.respaced(point.values, problem))
-    other = search_background(white, begun, least, thorough=True)
-    return max(best, other, key=lambda one: score_nats(one[1], least))
+    found = [search_background(problem, point, least, thorough=True) for problem, point in starts]
+    if all(float(problem.misfit(point).max()) > LIMITS.explained_misfit for problem, point in found):
+        problem, point = starts[0]
+        white = replace(problem, octaves=np.inf, fall_power=0)
+        begun = white.maximised(white.respaced(point.values, problem))
+        found.append(search_background(white, begun, least, thorough=True))
+    return max(found, key=lambda one: score_nats(one[1], least))
 
 
 def search_background(
@@ -183,10 +183,9 @@ def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, least: float) 
         point = _likelier(problem, point, _in_other_form(problem, point.values, k), least)
         k += 1
     for cap in range(problem.mass.size):
-        own = [mode.form for mode in point.values.modes if mode.cap == cap]
-        if len(own) > 1 and "attached" in own:
-            with suppress(ModelError):
-                point = _likelier(problem, point, _all_under_bearing(problem, point.values, cap), least)
+        if sum(mode.cap == cap for mode in point.values.modes) > 1:
+            for other in list(_under_bearing(problem, point.values, cap)):
+                point = _likelier(problem, point, other, least)
     return point
 
 
@@ -260,16 +259,27 @@ def _in_other_form(problem: JointSpectrum, values: JointValues, k: int) -> Joint
     return replace(values.with_bearing(cap, new_kL, max(new_c, LIMITS.min_damping_rel * c)), modes=tuple(modes), q=q)
 
 
-def _all_under_bearing(problem: JointSpectrum, values: JointValues, cap: int) -> JointValues:
-    """Values with all modes of a cap under its bearing. Raises ModelError where none are equivalent."""
-    own = [mode for at, mode in problem.modes(values) if at == cap]
-    kL, c, under = all_under_bearing(float(np.exp(values.stiffness[cap])), float(np.exp(values.damping[cap])), own)
+def _under_bearing(problem: JointSpectrum, values: JointValues, cap: int) -> Iterator[JointValues]:
+    """Values with all modes of a cap under its bearing, and with all but one of those on it, where that exists.
+
+    A mode on the cap that stays there changes nothing of the others.
+    """
+    there = {k: mode for k, (at, mode) in enumerate(problem.modes(values)) if at == cap}
+    on = [k for k, mode in there.items() if mode.form == "attached"]
+    bearing = float(np.exp(values.stiffness[cap])), float(np.exp(values.damping[cap]))
     place = ModePlace(cap, "support")
-    for k in reversed([k for k, mode in enumerate(values.modes) if mode.cap == cap]):
-        values = values.without_mode(k)
-    for mode in under:
-        values = values.with_mode(place, _mode_values(problem, place, mode.frequency_hz, mode.damping, mode.mass))
-    return values.with_bearing(cap, kL, c)
+    for kept in (None, *on) if len(on) > 1 else (None,) * len(on):
+        moved = [k for k in there if k != kept]
+        try:
+            kL, c, under = all_under_bearing(*bearing, [there[k] for k in moved])
+        except ModelError:
+            continue
+        other = values
+        for k in reversed(moved):
+            other = other.without_mode(k)
+        for m in under:
+            other = other.with_mode(place, _mode_values(problem, place, m.frequency_hz, m.damping, m.mass))
+        yield other.with_bearing(cap, kL, c)
 
 
 def _mode_values(problem: JointSpectrum, place: ModePlace, f_hz: float, damping: float, mass: float) -> Array:

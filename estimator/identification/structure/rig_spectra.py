@@ -21,7 +21,7 @@ from .background_search import (
     force_dispersion,
     score_nats,
     search_background,
-    search_from_smooth_force,
+    search_from_starts,
     without_idle_modes,
 )
 from .cross_spectra import CrossSpectra, Work
@@ -149,7 +149,7 @@ class RigSpectra:
         found = []
         for problem, point in self._started(model, channels, start):
             if start is None:
-                found.append(search_from_smooth_force(problem, point, self.cost_nats))
+                found.append(search_from_starts([(problem, point)], self.cost_nats))
             else:
                 found.append(search_background(problem, point, self.cost_nats, thorough=True))
         return self._fit(found, channels)

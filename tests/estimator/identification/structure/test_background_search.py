@@ -19,10 +19,9 @@ from estimator.model.background import BearingBackground, StructuralMode
 RATE_HZ = 8192.0
 
 
-HEAVY_SUPPORTS = (
-    StructuralMode(form="support", mass=3.15 * CAP_MASS_KG, frequency_hz=283.0, damping=0.03),
-    StructuralMode(form="support", mass=2.63 * CAP_MASS_KG, frequency_hz=516.0, damping=0.02),
-)
+def supports(*modes: tuple[float, float, float]) -> tuple[StructuralMode, ...]:
+    """Modes under the bearing. modes : mass over that of the cap, Hz, damping ratio of each."""
+    return tuple(StructuralMode(form="support", mass=m * CAP_MASS_KG, frequency_hz=f, damping=z) for m, f, z in modes)
 
 
 def record_with_modes(seconds: float, supports: tuple[StructuralMode, ...] = (SUPPORT_MODE,)) -> np.ndarray:
@@ -57,9 +56,19 @@ def test_structural_modes_are_found_and_leave_stiffness_and_damping_right() -> N
     assert compare(rig(), y, RATE_HZ).adequate
 
 
-def test_heavy_modes_of_the_support_are_not_taken_for_masses_on_the_cap() -> None:
-    """Masses on the cap of a softer bearing move it alike, but for their damping."""
-    found = fit(rig(), record_with_modes(24.0, HEAVY_SUPPORTS), RATE_HZ)
+@pytest.mark.parametrize(
+    "own",
+    [
+        supports((3.15, 283.0, 0.03), (2.63, 516.0, 0.02)),
+        supports((9.0, 341.0, 0.039), (1.5, 154.0, 0.005)),
+        supports((2.0, 341.0, 0.02), (1.5, 154.0, 0.005)),
+        supports((9.0, 341.0, 0.039), (3.0, 154.0, 0.005), (12.0, 600.0, 0.02)),
+        supports((1.0, 200.0, 0.003), (30.0, 420.0, 0.05)),
+    ],
+)
+def test_heavy_modes_of_the_support_are_not_taken_for_masses_on_the_cap(own: tuple[StructuralMode, ...]) -> None:
+    """Masses on the cap of a softer bearing move it alike, but for their damping: kL was 0.16 of the true one."""
+    found = fit(rig(), record_with_modes(24.0, own), RATE_HZ)
     kL = found.parameters["bearing1.x.kL"]
     assert kL.value == pytest.approx(STIFFNESS_N_M, rel=0.05)
 
