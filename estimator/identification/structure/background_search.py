@@ -13,19 +13,20 @@ import numpy as np
 from scipy.special import expit
 
 from estimator.arrays import Array, Complexes, products
-from estimator.errors import ModelError
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.model.background import Background, BearingBackground, ModeForm, all_under_bearing
+from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
 
 from .cross_spectra import Work
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
 from .spectral_problem import (
     caps_by_direction,
+    in_other_form,
     measured_spectra,
     smooth_start,
     spectral_problem,
     start_values,
+    under_bearing,
     with_known_background,
 )
 from .spectral_shape import nats_of_one_cause
@@ -180,11 +181,11 @@ def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, least: float) 
     """
     k = 0
     while k < len(point.values.modes):
-        point = _likelier(problem, point, _in_other_form(problem, point.values, k), least)
+        point = _likelier(problem, point, in_other_form(problem, point.values, k), least)
         k += 1
     for cap in range(problem.mass.size):
         if sum(mode.cap == cap for mode in point.values.modes) > 1:
-            for other in list(_under_bearing(problem, point.values, cap)):
+            for other in list(under_bearing(problem, point.values, cap)):
                 point = _likelier(problem, point, other, least)
     return point
 
@@ -226,66 +227,13 @@ def _sd_of_forms(problem: JointSpectrum, found: JointPoint, point: WorkingPoint)
     """(2, caps) standard deviations of ln kL and ln c over both forms of a mode, each as likely as its likelihood."""
     sd = np.zeros((2, problem.mass.size))
     for k in range(len(found.values.modes)):
-        other = tried_point(problem, _in_other_form(problem, found.values, k))
+        other = tried_point(problem, in_other_form(problem, found.values, k))
         lost = (found.log_likelihood - other.log_likelihood) / force_dispersion(point)
         share = float(expit(-lost)) if _resonates(problem, other) else 0.0
         old, new = found.values, other.values
         apart = np.abs([new.stiffness - old.stiffness, new.damping - old.damping])
         sd = np.maximum(sd, apart * np.sqrt(share * (1.0 - share)))
     return sd
-
-
-def _in_other_form(problem: JointSpectrum, values: JointValues, k: int) -> JointValues:
-    """Values with mode k under the bearing instead of on the cap, or on the cap instead of under the bearing.
-
-    To first order in damping both forms give the same motion of the cap where, of the attached form A and the support
-    form B, D_B = D_A + M_A (w_A^2 + 2 zeta_A w_A s), den_A = den_B + D_B / M_B and M_B M_A w_A^4 = kL_B^2.
-    """
-    cap, form = values.modes[k].cap, values.modes[k].form
-    f, zeta, ratio = np.exp(values.q[k])
-    kL, c = np.exp(values.stiffness[cap]), np.exp(values.damping[cap])
-    M, w2, damp = ratio * problem.mass[cap], (2.0 * np.pi * f) ** 2, 4.0 * np.pi * zeta * f
-    if form == "support":
-        new_w2, new_damp = w2 + kL / M, damp + c / M
-        new_mass = kL**2 / (M * new_w2**2)
-        new_kL, new_c = kL - new_mass * new_w2, c - new_mass * new_damp
-    else:
-        new_kL, new_c = kL + M * w2, c + M * damp
-        new_mass = new_kL**2 / (M * w2**2)
-        new_w2, new_damp = w2 - new_kL / new_mass, damp - new_c / new_mass
-    modes, q = list(values.modes), values.q.copy()
-    modes[k] = ModePlace(cap, "attached" if form == "support" else "support")
-    q[k] = _mode_values(problem, modes[k], np.sqrt(new_w2) / (2.0 * np.pi), 0.5 * new_damp / np.sqrt(new_w2), new_mass)
-    return replace(values.with_bearing(cap, new_kL, max(new_c, LIMITS.min_damping_rel * c)), modes=tuple(modes), q=q)
-
-
-def _under_bearing(problem: JointSpectrum, values: JointValues, cap: int) -> Iterator[JointValues]:
-    """Values with all modes of a cap under its bearing, and with all but one of those on it, where that exists.
-
-    A mode on the cap that stays there changes nothing of the others.
-    """
-    there = {k: mode for k, (at, mode) in enumerate(problem.modes(values)) if at == cap}
-    on = [k for k, mode in there.items() if mode.form == "attached"]
-    bearing = float(np.exp(values.stiffness[cap])), float(np.exp(values.damping[cap]))
-    place = ModePlace(cap, "support")
-    for kept in (None, *on) if len(on) > 1 else (None,) * len(on):
-        moved = [k for k in there if k != kept]
-        try:
-            kL, c, under = all_under_bearing(*bearing, [there[k] for k in moved])
-        except ModelError:
-            continue
-        other = values
-        for k in reversed(moved):
-            other = other.without_mode(k)
-        for m in under:
-            other = other.with_mode(place, _mode_values(problem, place, m.frequency_hz, m.damping, m.mass))
-        yield other.with_bearing(cap, kL, c)
-
-
-def _mode_values(problem: JointSpectrum, place: ModePlace, f_hz: float, damping: float, mass: float) -> Array:
-    """(3,) values of a mode in logarithms, damping ratio and mass (kg) within their limits."""
-    ratio = np.clip(mass / problem.mass[place.cap], *MASS_RATIO_LIMITS[place.form])
-    return np.log([f_hz, np.clip(damping, *LIMITS.damping_ratio_limits), ratio])
 
 
 def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
