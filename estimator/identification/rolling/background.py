@@ -142,7 +142,7 @@ def _searched(
     try:
         model, _, data = first_record(first.model, lines, y, rate_hz, block)
         point = fit_model(data, list(first.point.placed), first.point, rounds=1)
-        background, gain_nats = background_of_spectra(model, point, work)
+        background, gain_nats = background_of_spectra(model, point, work, thorough=False)
         if background is None:
             return None
         stiffness = dict(zip(data.places, np.einsum("iik->ik", point.mean_tangent)[:, 0].tolist(), strict=True))

@@ -65,7 +65,9 @@ def one_cause_is_enough(model: Model, point: WorkingPoint, gain_nats: float) -> 
     return gain_nats < cause_nats / LIMITS.explained_share + LIMITS.min_gain_nats * force_dispersion(point)
 
 
-def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tuple[Background | None, float]:
+def background_of_spectra(
+    model: Model, point: WorkingPoint, work: Work, thorough: bool = True
+) -> tuple[Background | None, float]:  # fmt: skip
     """The background that explains the spectra of a record, and the nats that it gains; None where the model does.
 
     Effects are not considered.
@@ -76,6 +78,8 @@ def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tupl
         As of `find_background`.
     work : Work
         What the search may do.
+    thorough : bool
+        Whether the search starts from a scan of the band as well: that takes some times as long.
 
     Raises
     ------
@@ -87,13 +91,13 @@ def background_of_spectra(model: Model, point: WorkingPoint, work: Work) -> tupl
     at: dict[str, BearingBackground] = {}
     gain_nats = 0.0
     for places in caps_by_direction(point.data.places):
-        found, gained = _of_direction(model, point, places, work)
+        found, gained = _of_direction(model, point, places, work, thorough)
         at, gain_nats = at | found, gain_nats + gained
     return (Background(at=at) if at else None), gain_nats
 
 
 def _of_direction(
-    model: Model, point: WorkingPoint, places: tuple[int, ...], work: Work
+    model: Model, point: WorkingPoint, places: tuple[int, ...], work: Work, thorough: bool
 ) -> tuple[dict[str, BearingBackground], float]:
     """The background of the caps of one direction, by place, and the nats that it gains; none where the model explains
     their spectra.
@@ -105,9 +109,10 @@ def _of_direction(
             first = problem.maximised(start_values(problem, point))
             if float(problem.misfit(first).max()) < LIMITS.min_unknown_depth_rms:
                 return {}, 0.0
-            starts = [smooth_start(problem, point, power) for power in LIMITS.fall_powers]
-            smooth = max(starts, key=lambda one: one[1].log_likelihood)
-            problem, found = search_from_starts([smooth, (problem, first)], least)
+            if thorough:
+                problem, found = search_from_starts([smooth_start(problem, point), (problem, first)], least)
+            else:
+                problem, found = search_background(problem, first, least)
         else:
             problem, found = known
             first = None

@@ -205,10 +205,7 @@ class RigSpectra:
         point, source = self._point, list(channels.channel_of)
         ratio = cap_masses(model, point) / point.data.mass[source]
         moved = replace(point, kL=point.kL[source] * ratio, S=point.S[source] * ratio**2, nu=point.nu[source])
-        if self._fall_power:
-            return smooth_start(problem, moved, self._fall_power)
-        each = [smooth_start(problem, moved, power) for power in LIMITS.fall_powers]
-        best = max(each, key=lambda one: one[1].log_likelihood)
+        best = smooth_start(problem, moved, (self._fall_power,) if self._fall_power else LIMITS.fall_powers)
         self._fall_power = best[0].fall_power  # one recorder has all channels
         return best
 

@@ -160,20 +160,27 @@ def with_known_background(
     return problem, problem.maximised(values)
 
 
-def smooth_start(problem: JointSpectrum, point: WorkingPoint, fall_power: int) -> tuple[JointSpectrum, JointPoint]:
-    """The problem with smooth spectra of the forces, and its point without modes at the best stiffness of a scan.
+def smooth_start(
+    problem: JointSpectrum, point: WorkingPoint, fall_powers: Sequence[int] = LIMITS.fall_powers
+) -> tuple[JointSpectrum, JointPoint]:
+    """The likeliest problem with smooth spectra of the forces, and its point without modes at the best of a scan.
 
-    fall_power : of the frequency in ln S.
+    fall_powers : of the frequency in ln S, that are tried.
     """
-    smooth = replace(problem, octaves=LIMITS.plain_octaves, fall_power=fall_power)
-    values = _with_scanned_stiffness(smooth, start_values(smooth, point))
-    return smooth, smooth.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)
+    tried = [replace(problem, octaves=LIMITS.plain_octaves, fall_power=power) for power in fall_powers]
+    values = _with_scanned_stiffness(tried[0], start_values(tried[0], point))
+    found = []
+    for smooth in tried:
+        own = smooth.respaced(values, tried[0])
+        own = replace(own, force=own.force + _shape_misfit(smooth, own)[1])
+        found.append((smooth, smooth.maximised(own, tolerance_nats=LIMITS.tried_tolerance_nats)))
+    return max(found, key=lambda one: one[1].log_likelihood)
 
 
 def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> JointValues:
     """Values with the stiffness of all bearings, then of each, at which the spectra differ least from their shapes.
 
-    Each cap alone on its bearing resonates in the band. The spectra of the forces are those that explain the rest.
+    Each cap alone on its bearing resonates in the band.
     """
     part = _thinned(problem, LIMITS.scanned_each)
     low, high = np.log(part.spectra.f_hz[[0, -1]])
@@ -183,7 +190,7 @@ def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> Join
     for moved in (list(caps), *([cap] for cap in caps), *([cap] for cap in caps)):
         tried = [values, *(_with_stiffness(values, moved, k) for k in ln_k[moved].T)]
         values = tried[int(np.argmin([_shape_misfit(part, v)[0] for v in tried]))]
-    return replace(values, force=values.force + _shape_misfit(problem, values)[1])
+    return values
 
 
 def _with_stiffness(values: JointValues, caps: list[int], ln_k: Array) -> JointValues:
@@ -205,6 +212,7 @@ def _shape_misfit(problem: JointSpectrum, values: JointValues) -> tuple[float, A
 
     And (caps, splines) the change of these spectra that explains the rest.
     """
+    problem.work.add(values.force.size)
     try:
         point = problem.at(values)
     except np.linalg.LinAlgError:
