@@ -15,6 +15,7 @@ from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import DataError, NoResonanceError
 from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.judgeable import Layers, judgeable_record, on_judgeable_record, survey_layers
 from estimator.identification.machine import MachineSurvey
 from estimator.identification.record import RecordSurvey, UsableRecord, record_messages
@@ -213,8 +214,7 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
 
 def _goes_after_mistakes(verdict: str) -> bool:
     """Whether a verdict names nothing, a line, or what shapes a spectrum."""
-    effect = NAMED.get(verdict)
-    return verdict in ("complete", "unknown", *LINE_NAMES) or (effect is not None and effect.found_by == "spectrum")
+    return verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
 
 
 def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:

@@ -16,10 +16,11 @@ from estimator.arrays import Array, products
 from estimator.identification.structure.background_search import (
     backgrounds,
     force_dispersion,
+    score_nats,
     search_background,
     tried_point,
 )
-from estimator.identification.structure.joint_spectrum import JointPoint, JointSpectrum
+from estimator.identification.structure.joint_spectrum import JointPoint, JointSpectrum, Solution
 from estimator.identification.structure.spectral_problem import (
     caps_by_direction,
     measured_spectra,
@@ -88,7 +89,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
     return ShaftScale(ln_mass=ln_mass, background=Background(at=scaled) if scaled else None)
 
 
-def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> tuple[JointSpectrum, JointPoint] | None:
+def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> Solution | None:
     """The likeliest problem and point of several start masses, with the background that they need."""
     least = STRUCTURE_LIMITS.min_gain_nats * force_dispersion(apart)
     if not problem.loose:
@@ -99,11 +100,10 @@ def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> tup
     found = []
     for start in starts:
         try:
-            there, point = search_background(problem, start, least)
+            found.append(search_background(problem, start, least))
         except np.linalg.LinAlgError:
             continue
-        found.append((point.log_likelihood - least * len(point.values.modes), there, point))
-    return max(found, key=lambda one: one[0])[1:] if found else None
+    return max(found, key=lambda one: score_nats(one[1], least)) if found else None
 
 
 def _started(model: Model, problem: JointSpectrum, apart: WorkingPoint, share: float) -> JointPoint | None:

@@ -18,7 +18,7 @@ from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
 
 from .cross_spectra import Work
-from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
+from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, Solution
 from .spectral_problem import (
     caps_by_direction,
     in_other_form,
@@ -31,8 +31,6 @@ from .spectral_problem import (
 )
 from .spectral_shape import nats_of_one_cause
 from .thresholds import LIMITS
-
-Solution = tuple[JointSpectrum, JointPoint]
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -105,21 +103,19 @@ def _of_direction(
     problem = replace(spectral_problem(model, point, measured_spectra(model, point, places)), work=work)
     least = LIMITS.min_gain_nats * force_dispersion(point)
     try:
-        if (known := with_known_background(problem, point, model.background)) is None:
+        if (known := with_known_background(problem, point, model.background)) is not None:
+            problem, found = known
+            problem, found = search_background(problem, without_idle_modes(problem, found, least), least)
+            gained = least
+        else:
             first = problem.maximised(start_values(problem, point))
-            if float(problem.misfit(first).max()) < LIMITS.min_unknown_depth_rms:
-                return {}, 0.0
-            if thorough:
+            if thorough and _leaves_unknown(problem, first):
                 problem, found = search_from_starts([smooth_start(problem, point), (problem, first)], least)
             else:
                 problem, found = search_background(problem, first, least)
-        else:
-            problem, found = known
-            first = None
-            problem, found = search_background(problem, without_idle_modes(problem, found, least), least)
+            gained = found.log_likelihood - first.log_likelihood
     except np.linalg.LinAlgError:
         return {}, 0.0
-    gained = least if first is None else found.log_likelihood - first.log_likelihood
     if gained < least or float(problem.misfit(found).max()) > LIMITS.max_background_depth_rms:
         return {}, 0.0
     if not _resonates(problem, found):
@@ -144,12 +140,12 @@ def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
 
 def search_background(
     problem: JointSpectrum, point: JointPoint, least: float, thorough: bool = False
-) -> tuple[JointSpectrum, JointPoint]:  # fmt: skip
+) -> Solution:  # fmt: skip
     """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out.
 
     The problem as it is where it explains the spectra, unless the search is to be thorough.
     """
-    if not thorough and float(problem.misfit(point).max()) < LIMITS.min_unknown_depth_rms:
+    if not thorough and not _leaves_unknown(problem, point):
         return problem, point
     while True:
         problem, point = _with_more(problem, point, least)
@@ -160,7 +156,12 @@ def search_background(
             return problem, point
 
 
-def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> tuple[JointSpectrum, JointPoint]:
+def _leaves_unknown(problem: JointSpectrum, point: JointPoint) -> bool:
+    """Whether spectra depart from the model by more than the laws that it lacks shape them."""
+    return float(problem.misfit(point).max()) >= LIMITS.min_unknown_depth_rms
+
+
+def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> Solution:
     """The likeliest problem and point, modes and knots added while they gain `least` nats."""
     octaves = [o for o in LIMITS.tried_knot_octaves if _least_octaves(problem, point) <= o < problem.octaves]
     while len(point.values.modes) < LIMITS.max_modes_per_cap * problem.mass.size:
@@ -272,7 +273,7 @@ def tried_point(problem: JointSpectrum, values: JointValues) -> JointPoint:
     return problem.maximised(values, LIMITS.tried_steps, LIMITS.tried_tolerance_nats)
 
 
-def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[JointSpectrum, JointPoint]]:
+def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[Solution]:
     """Points with one more mode, those that promise most."""
     seen: list[tuple[ModePlace, float]] = []
     for _, mode, q in sorted(_scores(problem, point), key=lambda one: -one[0]):

@@ -377,6 +377,9 @@ class JointSpectrum:
         return np.log(both[..., 0]), np.log(both[..., 1])
 
 
+Solution = tuple[JointSpectrum, JointPoint]
+
+
 def _squared_ln_ratio(point: JointPoint) -> Array:
     """(cells, caps) squared ln(measured / model) of the whitened spectra."""
     return np.asarray(np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2)

@@ -17,7 +17,6 @@ from estimator.model.background import Background
 from estimator.model.rig import Model
 
 from .background_search import (
-    Solution,
     force_dispersion,
     score_nats,
     search_background,
@@ -25,7 +24,7 @@ from .background_search import (
     without_idle_modes,
 )
 from .cross_spectra import CrossSpectra, Work
-from .joint_spectrum import JointPoint, JointSpectrum, JointValues, ModePlace
+from .joint_spectrum import JointSpectrum, JointValues, ModePlace, Solution
 from .spectral_problem import (
     cap_masses,
     caps_by_direction,
@@ -185,7 +184,8 @@ class RigSpectra:
                 out.append(self._plain(model, problem, channels))
             else:
                 problem = problem.in_form_of(start.solutions[k][0])
-                out.append((problem, _tried(problem, self._values_of(problem, channels, start))))
+                values = self._values_of(problem, channels, start)
+                out.append((problem, problem.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)))
         return out
 
     def _problem(self, model: Model, places: tuple[int, ...], channels: Arrangement) -> JointSpectrum:
@@ -230,11 +230,6 @@ class RigSpectra:
             force=np.array(force), noise=noise, stiffness=stiffness, damping=damping, modes=tuple(modes),
             q=np.array(q).reshape(-1, 3),
         )  # fmt: skip
-
-
-def _tried(problem: JointSpectrum, values: JointValues) -> JointPoint:
-    """The point from values of another rig."""
-    return problem.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)
 
 
 def _at_same_resonance(

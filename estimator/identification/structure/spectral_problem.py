@@ -19,7 +19,7 @@ from estimator.model.background import Background, all_under_bearing
 from estimator.model.rig import Model
 
 from .cross_spectra import CrossSpectra, cross_spectra
-from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace
+from .joint_spectrum import MASS_RATIO_LIMITS, JointSpectrum, JointValues, ModePlace, Solution
 from .thresholds import LIMITS
 
 
@@ -63,7 +63,7 @@ def spectral_problem(
     laws = _law_response(point, spectra.f_hz)[:, tangents_of]
     shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
     mass = cap_masses(model, point)[own]
-    _, c = _sound_stiffness_and_damping(point)
+    _, c = _start_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])
     return JointSpectrum(
         spectra=spectra, Z0=Z0, laws=laws, mass=mass, shape=shape, damping0=damping0, loose=loose, shaft=shaft
@@ -116,33 +116,32 @@ def start_values(problem: JointSpectrum, point: WorkingPoint) -> JointValues:
     own = list(problem.spectra.places)
     power = np.einsum("fii->fi", problem.spectra.psd).real
     least = LIMITS.start_noise_rel * np.min(power / problem.spectra.noise, axis=0)
-    noise = np.where(_is_sound(point), point.nu * point.S, 0.0)[own]
+    noise = np.where(_resonates_below_top(point), point.nu * point.S, 0.0)[own]
     return JointValues(
         force=np.log(point.S[own])[:, None] * problem.flat,
         noise=np.log(np.maximum(noise, least)),
-        stiffness=np.log(_sound_stiffness_and_damping(point)[0][own]),
+        stiffness=np.log(_start_stiffness_and_damping(point)[0][own]),
         damping=problem.damping0.copy(),
     )
 
 
-def _sound_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
-    """(places,) N/m and N s/m to start from."""
+def _start_stiffness_and_damping(point: WorkingPoint) -> tuple[Array, Array]:
+    """(places,) N/m and N s/m of the fit; of the middle of the band where the fit has no resonance below its top."""
     low, high = 2.0 * np.pi * np.asarray(point.data.band)
-    k = np.where(_is_sound(point), point.kL, point.data.mass * low * high)
+    resonates = _resonates_below_top(point)
+    k = np.where(resonates, point.kL, point.data.mass * low * high)
     critical = 2.0 * np.sqrt(k * point.data.mass)
-    c = np.where(_is_sound(point), point.c, LIMITS.start_damping_ratio * critical)
+    c = np.where(resonates, point.c, LIMITS.start_damping_ratio * critical)
     return k, np.maximum(c, LIMITS.min_start_damping_ratio * critical)
 
 
-def _is_sound(point: WorkingPoint) -> NDArray[np.bool_]:
-    """(places,) whether a cap alone on its bearing resonates, below the top of the band."""
+def _resonates_below_top(point: WorkingPoint) -> NDArray[np.bool_]:
+    """(places,) whether a cap alone on its bearing resonates below the top of the band, in the fit."""
     top = point.data.mass * (2.0 * np.pi * point.data.band[1]) ** 2
     return np.asarray((point.kL > LIMITS.min_stiffness_rel * top) & (point.kL < top))
 
 
-def with_known_background(
-    problem: JointSpectrum, point: WorkingPoint, known: Background | None
-) -> tuple[JointSpectrum, JointPoint] | None:
+def with_known_background(problem: JointSpectrum, point: WorkingPoint, known: Background | None) -> Solution | None:
     """The problem and its point from a fitted model and a background; None where no cap has one."""
     own = {c: point.data.places[i] for c, i in enumerate(problem.spectra.places)}
     there = {} if known is None else {c: b for c, p in own.items() if (b := known.at.get(p))}
@@ -162,7 +161,7 @@ def with_known_background(
 
 def smooth_start(
     problem: JointSpectrum, point: WorkingPoint, fall_powers: Sequence[int] = LIMITS.fall_powers
-) -> tuple[JointSpectrum, JointPoint]:
+) -> Solution:
     """The likeliest problem with smooth spectra of the forces, and its point without modes at the best of a scan.
 
     fall_powers : of the frequency in ln S, that are tried.
