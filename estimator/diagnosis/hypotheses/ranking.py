@@ -371,4 +371,6 @@ def separation_text(ranking: Sequence[Entry]) -> str:
     if rivals:
         names = " or ".join(dict.fromkeys(e.effect for e in (first, *rivals)))
         return f"{names}: the record hardly separates these ({ahead:.0f} nats){apart}"
+    if ahead < 0.0:
+        return f"{second.effect} is {-ahead:.0f} nats ahead of {first.effect} but does not pass{apart}"
     return f"{first.effect} is {ahead:.0f} nats ahead of {second.effect}{apart}"

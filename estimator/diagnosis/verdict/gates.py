@@ -126,15 +126,15 @@ def holds_at_large_amplitudes(entry: Entry, context: Context) -> GateResult:
 def told_from_zero(entry: Entry, context: Context) -> GateResult:
     """Fitted together with the model, the candidate predicts held-out data: it is not zero.
 
-    It has to predict as much as tells two candidates apart where the record gives none of its numbers.
+    It has to predict as much as tells two candidates apart where the record gives none of its numbers, or where it is
+    not fitted together with the model.
     """
     fit = context.fitted(entry)
     gain, values = fit.gain_nats, fit.entry.parameters.values()
-    if gain is None:
-        return GateResult(gate="told from zero", passed=True)
-    vague = bool(values) and not any(value.identifiable for value in values)
+    vague = gain is None or bool(values) and not any(value.identifiable for value in values)
     least = THRESHOLDS.rival_nats if vague else THRESHOLDS.min_gain_nats
-    text = "held-out nats, fitted with the model,"
+    text = "held-out nats" if gain is None else "held-out nats, fitted with the model,"
+    gain = entry.heldout_gain if gain is None else gain
     return GateResult(gate="told from zero", passed=gain >= least, measured=gain, limit=least, text=text)
 
 

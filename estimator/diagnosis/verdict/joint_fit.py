@@ -187,7 +187,7 @@ def _nuisance_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSu
         return JointFit(entry=one, left_rel=rest / max(was, 1e-300), whole=whole), noisy
 
     if (found := fitted(entry)) is None:
-        return JointFit(entry=entry)
+        return JointFit(entry=entry, left_rel=1.0)
     alone, noisy = found
     if alone.left_rel is None or alone.left_rel <= THRESHOLDS.max_left_rel or not noisy:
         return alone

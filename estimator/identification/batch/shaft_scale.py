@@ -103,7 +103,7 @@ def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> Sol
             found.append(search_background(problem, start, least))
         except np.linalg.LinAlgError:
             continue
-    return max(found, key=lambda one: score_nats(one[1], least)) if found else None
+    return max(found, key=lambda one: score_nats(one, least)) if found else None
 
 
 def _started(model: Model, problem: JointSpectrum, apart: WorkingPoint, share: float) -> JointPoint | None:

@@ -6,8 +6,10 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import expit
@@ -16,6 +18,7 @@ from estimator.arrays import Array, Complexes, products
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
+from estimator.parallel import map_processes, one_core
 
 from .cross_spectra import Work
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, Solution
@@ -31,6 +34,8 @@ from .spectral_problem import (
 )
 from .spectral_shape import nats_of_one_cause
 from .thresholds import LIMITS
+
+R = TypeVar("R")
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -75,7 +80,7 @@ def background_of_spectra(
     model, point
         As of `find_background`.
     work : Work
-        What the search may do.
+        What the search may do; a thorough one has no limit.
     thorough : bool
         Whether the search starts from a scan of the band as well: that takes some times as long.
 
@@ -86,12 +91,24 @@ def background_of_spectra(
     """
     if point.data.measured_force:
         return None, 0.0
-    at: dict[str, BearingBackground] = {}
-    gain_nats = 0.0
-    for places in caps_by_direction(point.data.places):
-        found, gained = _of_direction(model, point, places, work, thorough)
-        at, gain_nats = at | found, gain_nats + gained
-    return (Background(at=at) if at else None), gain_nats
+    asked = [
+        partial(_of_direction, model, point, places, work, thorough) for places in caps_by_direction(point.data.places)
+    ]
+    found = on_two_cores(asked) if thorough else [ask() for ask in asked]
+    at = {place: own for caps, _ in found for place, own in caps.items()}
+    return (Background(at=at) if at else None), sum(gained for _, gained in found)
+
+
+def on_two_cores(questions: Sequence[Callable[[], R]]) -> list[R]:
+    """The results of questions, as of `map_processes`, each of several on one core."""
+    if len(questions) == 1:
+        return [questions[0]()]
+
+    def alone(question: Callable[[], R]) -> R:
+        with one_core():
+            return question()
+
+    return map_processes([partial(alone, question) for question in questions])
 
 
 def _of_direction(
@@ -129,13 +146,13 @@ def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
     A search from white forces follows where the others leave something to be explained. least : nats that a mode has to
     gain.
     """
-    found = [search_background(problem, point, least, thorough=True) for problem, point in starts]
+    found = on_two_cores([partial(search_background, *start, least, thorough=True) for start in starts])
     if all(float(problem.misfit(point).max()) > LIMITS.explained_misfit for problem, point in found):
         problem, point = starts[0]
         white = replace(problem, octaves=np.inf, fall_power=0)
         begun = white.maximised(white.respaced(point.values, problem))
         found.append(search_background(white, begun, least, thorough=True))
-    return max(found, key=lambda one: score_nats(one[1], least))
+    return max(found, key=lambda one: score_nats(one, least))
 
 
 def search_background(
@@ -149,10 +166,9 @@ def search_background(
         return problem, point
     while True:
         problem, point = _with_more(problem, point, least)
-        other = _in_likelier_forms(problem, point, least)
-        changed = score_nats(other, least) - score_nats(point, least) > least
-        point = without_idle_modes(problem, other, least)
-        if not changed:
+        before = point.values.modes
+        point = without_idle_modes(problem, _in_likelier_forms(problem, point, least), least)
+        if point.values.modes == before:
             return problem, point
 
 
@@ -206,7 +222,8 @@ def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, lea
         return point
     if found.log_likelihood < point.log_likelihood:
         found = without_idle_modes(problem, found, least)
-    return found if _resonates(problem, found) and score_nats(found, least) > score_nats(point, least) else point
+    gained = score_nats((problem, found), least) - score_nats((problem, point), least)
+    return found if gained > LIMITS.tried_tolerance_nats and _resonates(problem, found) else point
 
 
 def _resonates(problem: JointSpectrum, point: JointPoint) -> bool:
@@ -224,9 +241,10 @@ def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:
     return np.asarray(np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi))
 
 
-def score_nats(point: JointPoint, least: float) -> float:
-    """Nats of a point, less what its modes cost."""
-    return point.log_likelihood - least * len(point.values.modes)
+def score_nats(solution: Solution, least: float) -> float:
+    """Nats of a solution, less what its modes and the form of the spectrum of the force have to gain."""
+    problem, point = solution
+    return point.log_likelihood - least * (len(point.values.modes) + problem.refinements)
 
 
 def _sd_of_forms(problem: JointSpectrum, found: JointPoint, point: WorkingPoint) -> Array:

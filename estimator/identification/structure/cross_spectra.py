@@ -5,7 +5,7 @@ The work of a search in them is counted in operations: it is the same on every m
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,11 @@ class Work:
 
     def add(self, derivatives: int) -> None:
         """Count one score of so many derivatives. Raises SearchTooLongError beyond the limit."""
-        self.done += derivatives + LIMITS.score_overhead_derivatives
+        self.add_all([derivatives + LIMITS.score_overhead_derivatives])
+
+    def add_all(self, done: Iterable[float]) -> None:
+        """Count the work of searches beside this one. Raises SearchTooLongError beyond the limit."""
+        self.done += sum(done)
         if self.done > self.limit:
             raise SearchTooLongError
 

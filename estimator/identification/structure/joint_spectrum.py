@@ -12,13 +12,19 @@ maximum of their likelihood (Whittle 1953; Brillinger, Time Series, 1981, ch. 7)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from estimator.arrays import Array, Complexes, products
+from estimator.likelihood.response.spectral_matrices import (
+    derivative_rows,
+    response_ends,
+    rows_of_matrices,
+    spectral_model,
+)
 from estimator.model.background import ModeForm, StructuralMode
 
 from .cross_spectra import CrossSpectra, Work
@@ -68,15 +74,15 @@ class JointValues:
         parts = self.force.ravel(), self.noise, self.stiffness, self.damping, self.heavier, self.q.ravel()
         return np.concatenate(parts)
 
-    def moved(self, step: Array, low: Array, high: Array) -> JointValues:
-        """The values after a step (parameters,), modes inside their limits (modes, 3)."""
+    def at_vector(self, vector: Array) -> JointValues:
+        """The values with all parameters of a vector (parameters,) as of `vector`."""
         caps, splines = self.force.shape
         force, noise, stiffness, damping, heavier, q = np.split(
-            self.vector() + step, np.cumsum([caps * splines, caps, caps, caps, self.heavier.size])
+            vector, np.cumsum([caps * splines, caps, caps, caps, self.heavier.size])
         )
         return JointValues(
             force=force.reshape(caps, splines), noise=noise, stiffness=stiffness, damping=damping, modes=self.modes,
-            q=np.clip(q.reshape(-1, 3), low, high), heavier=heavier,
+            q=q.reshape(-1, 3), heavier=heavier,
         )  # fmt: skip
 
     def with_mode(self, mode: ModePlace, q: Array) -> JointValues:
@@ -168,6 +174,11 @@ class JointSpectrum:
         """(splines,) coefficients of ln S = 1."""
         return np.append(np.ones(self.basis.shape[1] - 1), 0.0 if self.fall_power else 1.0)
 
+    @property
+    def refinements(self) -> int:
+        """Steps from a white force to the form of its spectrum, each of which has to gain what a mode has to."""
+        return sum(self.octaves <= own for own in LIMITS.tried_knot_octaves) + (self.fall_power > 0)
+
     def in_form_of(self, other: JointSpectrum) -> JointSpectrum:
         """The problem with the form of the spectrum of the force of another one."""
         return replace(self, octaves=other.octaves, fall_power=other.fall_power)
@@ -191,17 +202,11 @@ class JointSpectrum:
         Z[:, caps, caps] += B + attached
         for cap, heavier in zip(self.loose, values.heavier.tolist(), strict=True):
             Z[:, cap] += np.expm1(-heavier) * self.shaft[:, cap]
-        T = (s * s)[:, None, None] * np.linalg.inv(Z)
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
-        signal = np.einsum("fij,fj,fkj->fik", T, S, T.conj())
-        Sigma = signal.copy()
-        Sigma[:, caps, caps] += N
-        root = np.linalg.cholesky(Sigma)
-        W = np.asarray(np.linalg.inv(root), np.complex128)
-        R = W @ spectra.psd @ W.conj().swapaxes(1, 2)
-        log_det = 2.0 * np.log(np.abs(root[:, caps, caps])).sum(axis=1)
-        nats = -float(spectra.n @ (log_det + np.einsum("fii->f", R).real))
+        nats, T, signal, W, R = spectral_model(Z, s, S, N, spectra.psd, spectra.n)
+        if np.isnan(nats):
+            raise np.linalg.LinAlgError("the spectral matrix of the model is not positive")
         prior = 0.5 * float(np.sum(((values.damping - self.damping0) / LIMITS.damping_prior_sd) ** 2))
         prior += 0.5 * float(np.einsum("is,st,it->", values.force, self._spline_prior(), values.force))
         return JointPoint(
@@ -219,71 +224,50 @@ class JointSpectrum:
 
         The derivative by a stiffness dz is that times dz and its conjugate transpose.
         """
-        columns, rows = self._response_ends(point)
+        columns, rows = response_ends(point.W, point.T, point.signal, point.s)
         return [columns[:, :, i, None] * rows[:, i, None, :] for i in range(self.mass.size)]
-
-    def _response_ends(self, point: JointPoint) -> tuple[Complexes, Complexes]:
-        """(cells, caps, caps) twice: whitened response to a force at each cap, and whitened signal of each cap."""
-        columns = point.W @ point.T / -(point.s**2)[:, None, None]
-        return columns, np.asarray(np.einsum("fij,fkj->fki", point.W.conj(), point.signal), np.complex128)
-
-    def _by_mass(self, point: JointPoint) -> Iterator[Complexes]:
-        """(cells, caps, caps) by loose cap: derivative of whitened Sigma by the logarithm of its mass."""
-        columns, rows = self._response_ends(point)
-        for cap, heavier in zip(self.loose, point.values.heavier.tolist(), strict=True):
-            carried = np.einsum("fj,fjk->fk", -np.exp(-heavier) * self.shaft[:, cap], rows)
-            half = columns[:, :, cap, None] * carried[:, None, :]
-            yield np.asarray(half + half.conj().swapaxes(1, 2))
-
-    def derivatives(self, point: JointPoint) -> Complexes:
-        """(parameters, cells, caps, caps) derivatives of whitened Sigma."""
-        values, s = point.values, point.s
-        caps = range(self.mass.size)
-        pulled = point.W @ point.T
-        out = []
-        for i in caps:
-            own = pulled[:, :, i, None] * pulled[:, None, :, i].conj() * point.S[:, i, None, None]
-            out += [own * spline[:, None, None] for spline in self.basis.T]
-        out += [point.W[:, :, i, None] * point.W[:, None, :, i].conj() * point.N[:, i, None, None] for i in caps]
-        halves, series = self.by_stiffness(point), (point.B / point.D) ** 2
-
-        def by(i: int, dz: Complexes) -> Complexes:
-            half = halves[i] * dz[:, None, None]
-            return np.asarray(half + half.conj().swapaxes(1, 2))
-
-        out += [by(i, series[:, i] * np.exp(values.stiffness[i])) for i in caps]
-        out += [by(i, series[:, i] * s * np.exp(values.damping[i])) for i in caps]
-        if self.loose:
-            out += self._by_mass(point)
-        for cap, mode in self.modes(values):
-            damp, den = mode.damping_term(s), mode.denominator(s)
-            d_frequency = damp + 2.0 * mode.w0**2
-            if mode.form == "support":
-                through = point.B[:, cap] ** 2 / (mode.mass * den * den)
-                out += [by(cap, through * dz) for dz in (d_frequency, damp, den)]
-            else:
-                top, per = mode.w0**2 + damp, mode.mass * s * s / den**2
-                for dz in (d_frequency * (den - top), damp * (den - top), top * den):
-                    out.append(by(cap, per * dz))
-        return np.array(out)
 
     def score(self, point: JointPoint) -> tuple[Array, Array]:
         """Rows of a least-squares problem whose normal equations are those of Fisher scoring.
 
         Returns (parameters, rows) derivatives and (rows,) residuals.
         """
-        J = self.rows(self.derivatives(point))
+        n, caps = self.spectra.n, np.arange(self.mass.size)
+        columns, rows = response_ends(point.W, point.T, point.signal, point.s)
+        changed = list(self._changes(point))
+        dZ = np.zeros((len(changed), *point.S.shape), np.complex128)
+        for k, (cap, dz) in enumerate(changed):
+            if dz.ndim == 1:
+                dZ[k, :, cap] = dz
+            else:
+                dZ[k] = dz
+        cap_of = np.array([cap for cap, _ in changed])
+        J = derivative_rows(point.W, point.s, point.S, point.N, self.basis, n, columns, rows, cap_of, dZ)
         self.work.add(J.size)
-        return J, self.rows((point.R - np.eye(self.mass.size))[None])[0]
+        off = point.R.copy()
+        off[:, caps, caps] -= 1.0
+        return J, rows_of_matrices(off, n)
 
-    def rows(self, matrices: Complexes) -> Array:
-        """(k, rows) of Hermitian matrices (k, cells, caps, caps), so that products of rows are weighted traces."""
-        caps, root = range(self.mass.size), np.sqrt(self.spectra.n)
-        parts = [matrices[:, :, i, i].real * root for i in caps]
-        for i, j in combinations(caps, 2):
-            both = matrices[:, :, i, j] * (np.sqrt(2.0) * root)
-            parts += [both.real, both.imag]
-        return np.concatenate(parts, axis=1)
+    def _changes(self, point: JointPoint) -> Iterator[tuple[int, Complexes]]:
+        """Cap and derivative of its dynamic stiffness (cells,), or of that to all caps (cells, caps), by parameter.
+
+        In the order of `JointValues.vector`, after force and noise.
+        """
+        values, s = point.values, point.s
+        series, caps = (point.B / point.D) ** 2, range(self.mass.size)
+        yield from ((i, series[:, i] * np.exp(values.stiffness[i])) for i in caps)
+        yield from ((i, series[:, i] * s * np.exp(values.damping[i])) for i in caps)
+        for cap, heavier in zip(self.loose, values.heavier.tolist(), strict=True):
+            yield cap, -np.exp(-heavier) * self.shaft[:, cap]
+        for cap, mode in self.modes(values):
+            damp, den = mode.damping_term(s), mode.denominator(s)
+            d_frequency = damp + 2.0 * mode.w0**2
+            if mode.form == "support":
+                through = point.B[:, cap] ** 2 / (mode.mass * den * den)
+                yield from ((cap, through * dz) for dz in (d_frequency, damp, den))
+            else:
+                top, per = mode.w0**2 + damp, mode.mass * s * s / den**2
+                yield from ((cap, per * dz) for dz in (d_frequency * (den - top), damp * (den - top), top * den))
 
     def matrices(self, rows: Array) -> Complexes:
         """(cells, caps, caps) Hermitian matrices whose rows, weighted once more, these are."""
@@ -323,20 +307,28 @@ class JointSpectrum:
         return nats, len([*combinations(caps, 2)]) * 2 * first.size
 
     def maximised(self, values: JointValues, steps: int = 40, tolerance_nats: float = 0.1) -> JointPoint:
-        """The point of largest likelihood, by damped Fisher scoring from some values."""
+        """The point of largest likelihood, by damped Fisher scoring from some values.
+
+        A value at its limit stays there as long as the likelihood rises beyond it: a step of all others that counts on
+        its move would fail.
+        """
         point = self.at(values)
-        low, high = self._limits(values.modes)
+        low, high = self._limits(values)
         prior, centre = self._prior(values)
         damped = 1e-3
         for _ in range(steps):
             J, r = self.score(point)
-            information, gradient = products(J) + prior, J @ r - prior @ (point.values.vector() - centre)
+            x = point.values.vector()
+            information, gradient = products(J) + prior, J @ r - prior @ (x - centre)
+            free = np.flatnonzero(~((x <= low) & (gradient < 0.0) | (x >= high) & (gradient > 0.0)))
+            information, gradient = information[np.ix_(free, free)], gradient[free]
             new: JointPoint | None = None
             while new is None and damped < 1e7:
                 # a parameter without information does not move far
                 more = np.diag(damped * np.diag(information) + 0.1)
-                step = np.clip(np.linalg.solve(information + more, gradient), -LIMITS.max_step, LIMITS.max_step)
-                new = self._better(point, point.values.moved(step, low, high))
+                step = np.zeros(x.size)
+                step[free] = np.clip(np.linalg.solve(information + more, gradient), -LIMITS.max_step, LIMITS.max_step)
+                new = self._better(point, point.values.at_vector(np.clip(x + step, low, high)))
                 damped = max(0.2 * damped, 1e-7) if new is not None else max(5.0 * damped, 1e-4)
             if new is None:
                 break
@@ -369,12 +361,15 @@ class JointSpectrum:
             return None
         return new if new.log_likelihood > point.log_likelihood else None
 
-    def _limits(self, modes: Sequence[ModePlace]) -> tuple[Array, Array]:
-        """(modes, 3) lower and upper limits of the modes."""
+    def _limits(self, values: JointValues) -> tuple[Array, Array]:
+        """(parameters,) lower and upper limits: of the modes alone."""
         f = self.spectra.f_hz[[0, -1]] * LIMITS.band_margins_rel
         damping = LIMITS.damping_ratio_limits
-        both = np.array([[f, damping, MASS_RATIO_LIMITS[mode.form]] for mode in modes]).reshape(-1, 3, 2)
-        return np.log(both[..., 0]), np.log(both[..., 1])
+        both = np.array([(f, damping, MASS_RATIO_LIMITS[mode.form]) for mode in values.modes]).reshape(-1, 2)
+        high = np.full(values.vector().size, np.inf)
+        low, first = -high, high.size - len(both)
+        low[first:], high[first:] = np.log(both.T)
+        return low, high
 
 
 Solution = tuple[JointSpectrum, JointPoint]

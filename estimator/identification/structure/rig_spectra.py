@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc
@@ -18,12 +19,13 @@ from estimator.model.rig import Model
 
 from .background_search import (
     force_dispersion,
+    on_two_cores,
     score_nats,
     search_background,
     search_from_starts,
     without_idle_modes,
 )
-from .cross_spectra import CrossSpectra, Work
+from .cross_spectra import CrossSpectra, SearchTooLongError, Work
 from .joint_spectrum import JointSpectrum, JointValues, ModePlace, Solution
 from .spectral_problem import (
     cap_masses,
@@ -145,13 +147,22 @@ class RigSpectra:
 
         Raises numpy.linalg.LinAlgError where the rig explains nothing.
         """
-        found = []
-        for problem, point in self._started(model, channels, start):
+        started, limit = self._started(model, channels, start), self._work.limit - self._work.done
+        found, done = zip(*on_two_cores([partial(self._searched, one, start, limit) for one in started]), strict=True)
+        self._work.add_all(done)
+        return self._fit([(replace(problem, work=self._work), point) for problem, point in found], channels)
+
+    def _searched(self, started: Solution, start: RigFit | None, limit: float) -> tuple[Solution, float]:
+        """The search of one direction, and its work. limit : of the work."""
+        problem, point = replace(started[0], work=Work(limit=limit)), started[1]
+        try:
             if start is None:
-                found.append(search_from_starts([(problem, point)], self.cost_nats))
+                found = search_from_starts([(problem, point)], self.cost_nats)
             else:
-                found.append(search_background(problem, point, self.cost_nats, thorough=True))
-        return self._fit(found, channels)
+                found = search_background(problem, point, self.cost_nats, thorough=True)
+        except SearchTooLongError:
+            found = started
+        return found, problem.work.done
 
     def without_idle_modes(self, fit: RigFit) -> RigFit:
         """The fit without the modes that gain less than they cost."""
@@ -167,7 +178,7 @@ class RigSpectra:
         each = [problem.coherence(point) for problem, point in solutions]
         coherent, paid = sum(nats for nats, _ in each), sum(paid for _, paid in each)
         return RigFit(
-            nats=sum(score_nats(point, self.cost_nats) for _, point in solutions),
+            nats=sum(score_nats(one, self.cost_nats) for one in solutions),
             misfit=max(float(problem.misfit(point).max()) for problem, point in solutions),
             coherence_p_value=float(chdtrc(paid, 2.0 * coherent)) if paid else 1.0,
             coherence_nats=max(coherent - 0.5 * paid, 0.0),

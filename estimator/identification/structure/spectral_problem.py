@@ -182,8 +182,8 @@ def _with_scanned_stiffness(problem: JointSpectrum, values: JointValues) -> Join
     Each cap alone on its bearing resonates in the band.
     """
     part = _thinned(problem, LIMITS.scanned_each)
-    low, high = np.log(part.spectra.f_hz[[0, -1]])
-    f = np.linspace(low + np.log(LIMITS.lowest_scanned_rel), high, int((high - low) * LIMITS.scanned_per_e_fold))
+    low, high = np.log(part.spectra.f_hz[[0, -1]] * LIMITS.scanned_band_rel)
+    f = np.linspace(low, high, int((high - low) * LIMITS.scanned_per_e_fold))
     ln_k = np.log(problem.mass)[:, None] + 2.0 * (np.log(2.0 * np.pi) + f)
     caps = range(problem.mass.size)
     for moved in (list(caps), *([cap] for cap in caps), *([cap] for cap in caps)):

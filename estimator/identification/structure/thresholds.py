@@ -99,7 +99,8 @@ class Thresholds:
     min_stiffness_rel: float = 1e-6  # of one that resonates at the top of the band: a softer fit is no start
     start_damping_ratio: float = 0.02  # of a bearing that the fit did not find: middle of 0.3 to 15 %
     min_start_damping_ratio: float = 1e-3
-    lowest_scanned_rel: float = 0.5  # of the lower edge of the band: beside a stiff shaft a bearing is softer
+    # of the edges of the band: beside a stiff shaft a bearing is softer; a flank at the upper edge is a spectrum
+    scanned_band_rel: tuple[float, float] = (0.5, 0.8)
     scanned_per_e_fold: float = 9.0  # frequencies of a bearing: 11 %, the half-power width of a damping of 5 %
     start_noise_rel: float = 1e-4  # of the least PSD
 
