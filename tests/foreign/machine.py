@@ -218,6 +218,8 @@ class Moved:
                 if law.name not in s.hidden or law.along is not machine.bearing[place]:
                     continue
                 f, x = self.coarse[:, 2 * self.channels + k], self.coarse[:, c]
+                if not np.all(np.isfinite(self.coarse)):
+                    return np.inf  # the law drives the rotor out of its bearings
                 X = np.stack([np.ones_like(x), x], axis=1)
                 rest = f if law.name in hidden.WHOLE else f - X @ np.linalg.lstsq(X, f, rcond=None)[0]
                 out.append(float(np.sqrt(np.mean(rest**2)) / (s.kL[place] * np.std(x))))
