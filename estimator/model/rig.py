@@ -205,11 +205,14 @@ class LineBand:
         Edges of the band that the line may be in.
     power_over_psd_hz : float
         Power of the line over the power spectral density of the noise about it, Hz.
+    has_cause : bool
+        Whether the line is a harmonic of the shaft or of the mains.
     """
 
     low_hz: float
     high_hz: float
     power_over_psd_hz: float
+    has_cause: bool = False
 
     @property
     def centre_hz(self) -> float:
@@ -266,6 +269,8 @@ class Model:
         machine, deflect no bearing: no law sees them.
     record_lines : tuple of LineBand or None
         All narrow lines that a survey found in the record; None: a fit looks for them.
+    unexplained_places : tuple of str
+        Measured places that are left out of the model, as no mode there can be the bearing's.
     background : Background or None
         Structural modes and spectra of the excitation found in the record. None: no modes, a white force.
     name : str
@@ -295,6 +300,7 @@ class Model:
     line_bands: tuple[LineBand, ...] = ()
     deflects_at_lines: bool = True
     record_lines: tuple[LineBand, ...] | None = None
+    unexplained_places: tuple[str, ...] = ()
     background: Background | None = None
     name: str = ""
     anti_alias: AntiAlias | None = None

@@ -36,12 +36,15 @@ class BearingSurvey:
         Tones, spectra and faults of sensors, strongest first.
     speed_lacks : bool
         Whether the geometry of the bearing is given and the speed of the shaft is unknown.
+    unexplained_places : tuple of str
+        Measured places where no mode can be the bearing's.
     """
 
     part: WorkingPoint
     missing: MissingForce
     findings: tuple[Finding, ...]
     speed_lacks: bool = False
+    unexplained_places: tuple[str, ...] = ()
 
     @property
     def explained(self) -> bool:
@@ -62,7 +65,8 @@ class BearingSurvey:
         A law is too strong for the fit, or none is found to be missing and one could hide.
 
         Structural modes and the spectrum of the force may explain what a law does: where they leave the stiffness of
-        the bearing open, and in a short record. Without a speed no law of the shaft's angle is on trial.
+        the bearing open, and in a short record. Without a speed no law of the shaft's angle is on trial. A place
+        that no mode explains shows no law.
         """
         if self.too_strong is not None or not self.explained:
             return self.too_strong
@@ -75,6 +79,9 @@ class BearingSurvey:
         if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
+        if self.unexplained_places:
+            text = f"no missing force is found, but {', '.join(self.unexplained_places)} cannot be judged"
+            return Message(NOT_CONCLUSIVE, f"{text}: give the masses, or narrow the band to the bearing's mode")
         if self.speed_lacks:
             text = "no missing force is found, but what turns with the shaft is not looked for, as its speed is unknown"
             return Message(NOT_CONCLUSIVE, f"{text}: give speed_rpm or a tacho channel")
@@ -113,4 +120,8 @@ def survey_bearing(
     part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
     found, findings, *answers = missing_force.survey_with(part, model, lambda: search(model, point, y), *more)
     lacks = model.bearing is not None and not point.data.speed
-    return BearingSurvey(part=part, missing=found, findings=tuple(findings), speed_lacks=lacks), *answers
+    survey = BearingSurvey(
+        part=part, missing=found, findings=tuple(findings), speed_lacks=lacks,
+        unexplained_places=model.unexplained_places,
+    )  # fmt: skip
+    return survey, *answers

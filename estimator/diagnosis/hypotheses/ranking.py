@@ -159,9 +159,19 @@ def ranked_entries(
     if model.order_found:  # by the same data
         more = stiffness_order.order_trials(point)
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
-    for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN_EFFECT):
+    others = [s for s in others if s.effect != UNKNOWN_EFFECT and not _is_known_line(model, s)]
+    for name in dict.fromkeys(s.effect for s in others):
         out.append(_finding_entry(model, point, [s for s in others if s.effect == name], before))
     return in_order(behind_impact_train(out, model.band[0]))
+
+
+def _is_known_line(model: Model, finding: Finding) -> bool:
+    """Whether a finding is a line that the machine layer explains, or beside the band."""
+    if finding.effect not in LINE_NAMES:
+        return False
+    hz = next(iter(finding.settings.values()))["frequency"].value or 0.0
+    low, high = model.band
+    return not low < hz < high or any(band.has_cause and band.holds(hz) for band in model.record_lines or ())
 
 
 def in_order(found: Sequence[Entry]) -> list[Entry]:
@@ -275,6 +285,7 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
         p_value=min(s.p_value for s in own),
         before_percent=min(before_percent, 100.0),
         after_percent=after_percent,
+        explained_percent=part_percent2**0.5,
         parameters=named_parameters(settings),
         score=gain - THRESHOLDS.parameter_cost_nats * df,
         detectable=own[0].detectable,

@@ -127,7 +127,7 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
 
     def judged(usable: UsableRecord) -> BearingJudgement:
         whole = fit_all_effects(usable.model, usable.y, rate_hz)
-        surroundings = tones_of_surroundings(layers.record, layers.machine)
+        surroundings = tones_of_surroundings(layers.machine)
         found = judge_bearing(whole.model, whole.point, usable.y, say, surroundings)
         untried = (ROTOR_UNTRIED,) if model.rotor is not None and found.verdict != "complete" else ()
         return replace(found, messages=(*untried, *found.messages, *usable.messages, *whole.messages))

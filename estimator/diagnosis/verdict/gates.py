@@ -71,8 +71,13 @@ def significant(entry: Entry, context: Context) -> GateResult:
 
 
 def large_enough(entry: Entry, context: Context) -> GateResult:
-    """The force is larger than the errors of a simulation or a filter, beside structural modes than theirs."""
+    """The force is larger than the errors of a simulation or a filter, beside structural modes than theirs.
+
+    Beside lines that shaft and mains explain a tone has to be larger: a record holds tones of its surroundings.
+    """
     least = 100 * negligible_force_share(context.point.data)
+    if entry.effect in PERIODIC_EFFECTS and any(band.has_cause for band in context.model.record_lines or ()):
+        least = max(least, THRESHOLDS.min_tone_percent)
     force, text = entry.explained_percent, "force, % of the bearing force"
     return GateResult(gate="large enough", passed=force >= least, measured=force, limit=least, text=text)
 

@@ -100,7 +100,7 @@ def _of_usable(
     model: Model, y: Array, rate_hz: float, layers: Layers, usable: UsableRecord, say: Progress
 ) -> Improvement:
     """The improvement of a record whose channels are sound. model, y : with all channels."""
-    refused = tones_of_surroundings(layers.record, layers.machine)
+    refused = tones_of_surroundings(layers.machine)
     if shaft_entries(model, layers.record, layers.machine):
         refused |= set(LINE_NAMES)  # a line is the trace of a shaft that is out of balance
     found = improvement(usable.model, usable.y, rate_hz, say, refused=refused)

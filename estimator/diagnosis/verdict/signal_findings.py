@@ -58,8 +58,6 @@ class Thresholds:
         2X comparable with 1X; three quarters in common charts).
     min_line_power_share : float
         Share of the power of a channel that one line holds. A tenth: a line 10 dB below the level adds 0.5 dB to it.
-    min_unexplained_power_share : float
-        The same of a line that is no multiple of shaft or mains: 20 dB below the level.
     whole_order_tolerance : float
         Distance of a strike order from a whole number, in shaft orders.
     """
@@ -69,7 +67,6 @@ class Thresholds:
     min_dominance: float = 0.5
     min_second_harmonic_ratio: float = 0.75
     min_line_power_share: float = 0.1
-    min_unexplained_power_share: float = 0.01
     whole_order_tolerance: float = 0.02
 
 
@@ -201,18 +198,15 @@ def _power_shares(record: RecordSurvey, tones: Iterable[Tone]) -> Iterator[tuple
                 yield amplitude**2 / 2.0 / rms**2, tone, name
 
 
-def tones_of_surroundings(record: RecordSurvey, machine: MachineSurvey) -> frozenset[str]:
+def tones_of_surroundings(machine: MachineSurvey) -> frozenset[str]:
     """Periodic forces that are not named beside an adequate model, as tones of the surroundings are in the record.
 
     Lines of the mains show that a record holds tones of its surroundings. A weak 1X or 2X is one of them: imbalance and
-    misalignment are named by their severity alone. A line is named where one has no cause and a share of the power.
+    misalignment are named by their severity alone.
     """
     if all(tone.kind != "mains" for tone in machine.tones):
         return frozenset()
-    others = _power_shares(record, (tone for tone in machine.tones if tone.kind == "other"))
-    unexplained = any(share >= MACHINE_THRESHOLDS.min_unexplained_power_share for share, _, _ in others)
-    lines = frozenset(LINE_NAMES)
-    return frozenset(PERIODIC_EFFECTS) - {LOCAL_DEFECT.name} - (lines if unexplained else frozenset())
+    return frozenset(PERIODIC_EFFECTS) - {LOCAL_DEFECT.name, *LINE_NAMES}
 
 
 def rig_file_entry(model: Model, machine: MachineSurvey, rate_hz: float) -> tuple[Entry, Message] | None:

@@ -23,7 +23,8 @@ class Line:
 
     hz : Hz. half_width_hz : to either side, within which it is not resolved. amplitude : peak, in the channel's unit.
     log_p : of the record, everything searched paid for. power_ratio : over the noise. narrow : whether it is no
-    resonance, because no structure is damped as little or because its power is steady.
+    resonance, because no structure is damped as little or because its power is steady. has_cause : whether it is known
+    to be a harmonic of shaft or mains.
     """
 
     channel: str
@@ -33,13 +34,16 @@ class Line:
     log_p: float
     power_ratio: float
     narrow: bool
+    has_cause: bool = False
 
     @property
     def band(self) -> LineBand:
         """The band that holds the line, skirts of one that wanders included."""
         reach = LIMITS.reach_half_widths * self.half_width_hz
         power = self.power_ratio * LIMITS.hann_bin_correlation * self.half_width_hz
-        return LineBand(low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power)
+        return LineBand(
+            low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power, has_cause=self.has_cause
+        )
 
 
 def lines_to_leave_out(
@@ -64,7 +68,8 @@ def lines_to_leave_out(
         of_shaft = speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
         return of_shaft or mains is not None and _is_mains(line, mains)
 
-    return [line for line in lines if line.narrow or not band[0] < line.hz < band[1] or is_harmonic(line)]
+    known = [replace(line, has_cause=is_harmonic(line)) for line in lines]
+    return [line for line in known if line.narrow or not band[0] < line.hz < band[1] or line.has_cause]
 
 
 def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
@@ -83,6 +88,7 @@ def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
                 low_hz=last.low_hz,
                 high_hz=max(band.high_hz, last.high_hz),
                 power_over_psd_hz=max(band.power_over_psd_hz, last.power_over_psd_hz),
+                has_cause=band.has_cause and last.has_cause,
             )
         out.append(band)
     return out
@@ -249,10 +255,11 @@ def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
 def _is_mains(line: Line, mains: float) -> bool:
     """Whether a line is a multiple of the mains frequency (Hz)."""
     k = round(line.hz / mains)
-    tolerance = 0.5 * line.half_width_hz + LIMITS.mains_tolerance_rel * line.hz
+    resolution = 0.5 * line.half_width_hz
     return (
         1 <= k <= LIMITS.max_mains_multiple
-        and abs(line.hz - k * mains) <= tolerance < LIMITS.max_mains_tolerance_rel * mains
+        and resolution < LIMITS.max_mains_tolerance_rel * mains
+        and abs(line.hz - k * mains) <= resolution + LIMITS.mains_tolerance_rel * line.hz
     )
 
 

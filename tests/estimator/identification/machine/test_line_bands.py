@@ -63,7 +63,7 @@ def test_mains_hum_is_left_out_where_a_short_record_does_not_tell_it_from_a_mode
         Line(channel="b1x", hz=hz, half_width_hz=width, amplitude=1.0, log_p=-90.0, power_ratio=50.0, narrow=False)
         for hz, width in ((60.01, 0.1), (71.3, 0.1), (59.22, 1.4))
     )
-    assert lines_to_leave_out([hum, mode], (40.0, 2000.0)) == [hum]
+    assert lines_to_leave_out([hum, mode], (40.0, 2000.0)) == [replace(hum, has_cause=True)]
     units, rms = {"b1x": "m/s^2"}, {"b1x": 1.0}
     assert [tone.kind for tone in tones_of([hum, mode, blurred], None, units, rms)] == ["mains"]
     assert tones_of([mode, blurred], None, units, rms) == [], "a resonance at 59.2 Hz was called mains"
