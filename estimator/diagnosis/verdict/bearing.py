@@ -29,7 +29,7 @@ from estimator.results import RIG_FILE, Message, messages_json
 from .gates import Context, judged
 from .joint_fit import left_of_own_state, left_of_states
 from .mistake import explaining_mistake
-from .rivals import better_predicting, is_overshadowed, least_of_mistake_nats, left_text, share_left
+from .rivals import better_predicting, has_mistakes_for_rivals, is_overshadowed, leaves_less, left_text, share_left
 
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
@@ -160,9 +160,9 @@ def _judged_by_rule(
     named = [e for e in entries if e.passed and not (e.placed and is_overshadowed(e, entries))]
     if named and (better := better_predicting(entries, named[0], context)) is not None:
         named.insert(0, better)
-    if (least_nats := least_of_mistake_nats(named)) is not None:
+    if has_mistakes_for_rivals(named):
         say(0.92, "a mistake in the rig file?")
-        if (mistaken := mistake(entries=entries)) is not None and mistaken.ranking[0].gain > least_nats:
+        if (mistaken := mistake(entries=entries)) is not None and leaves_less(mistaken.ranking[0], named):
             return mistaken
     entries += tones
     if not named:

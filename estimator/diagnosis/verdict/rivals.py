@@ -63,12 +63,17 @@ def _is_far_likelier(refused: Entry, named: Entry) -> bool:
     return sum(refused.by_node[node][0] for node in named.at) > named.gain + THRESHOLDS.rival_nats
 
 
-def least_of_mistake_nats(named: Sequence[Entry]) -> float | None:
-    """Nats that a mistake in the rig file has to gain; None where a law is named and no mistake is on trial.
+def has_mistakes_for_rivals(named: Sequence[Entry]) -> bool:
+    """Whether mistakes in the rig file are on trial: no law is named, or one that couples the directions of a bearing.
 
-    A law that couples the directions of a bearing has a rival: with swapped channels the caps seem coupled by it.
+    With swapped channels the caps seem coupled by such a law.
     """
+    law = named[0].law if named else None
+    return law is None or law.state == "directions"
+
+
+def leaves_less(mistake: Entry, named: Sequence[Entry]) -> bool:
+    """Whether a mistake leaves less than half of what a named law leaves; so where no law is named."""
     if not (named and named[0].placed):
-        return -np.inf
-    law = named[0].law
-    return named[0].gain if law is not None and law.state == "directions" else None
+        return True
+    return mistake.after_percent < THRESHOLDS.same_force_min_rel * named[0].after_percent

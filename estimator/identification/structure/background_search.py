@@ -269,7 +269,8 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
         if mass_sd[k] < LIMITS.sure_mass_sd:
             continue
         bare = problem.maximised(point.values.without_mode(k))
-        if point.log_likelihood - bare.log_likelihood < least:
+        sound = _resonates(problem, bare) or not _resonates(problem, point)
+        if sound and point.log_likelihood - bare.log_likelihood < least:
             point = bare
     return point
 

@@ -6,12 +6,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
-import numpy as np
 import pytest
 
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE
-from estimator.diagnosis.verdict.rivals import is_overshadowed, least_of_mistake_nats
+from estimator.diagnosis.verdict.rivals import has_mistakes_for_rivals, is_overshadowed, leaves_less
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion.located_law import LocatedLaw
 
@@ -60,6 +59,15 @@ def test_a_law_that_couples_the_directions_has_swapped_channels_as_a_rival() -> 
     def placed(name: str) -> Entry:
         return replace(NAMED_LAW, placed=cast(tuple[LocatedLaw, ...], (SimpleNamespace(effect=CATALOGUE[name]),)))
 
-    assert least_of_mistake_nats([placed("anisotropy")]) == NAMED_LAW.gain
-    assert least_of_mistake_nats([placed("cubic")]) is None
-    assert least_of_mistake_nats([]) == -np.inf
+    assert has_mistakes_for_rivals([placed("anisotropy")])
+    assert not has_mistakes_for_rivals([placed("cubic")])
+    assert has_mistakes_for_rivals([])
+
+
+@pytest.mark.parametrize(("left_percent", "less"), [(0.0, True), (1.0, True), (2.0, False)])
+def test_a_mistake_is_named_where_it_leaves_less_than_half_of_what_the_law_leaves(
+    left_percent: float, less: bool
+) -> None:
+    """An anisotropy left 17 % of the bearing force where two cables were swapped, and had more nats."""
+    assert leaves_less(law(9.0, 5.0, left_percent), [NAMED_LAW]) is less
+    assert leaves_less(law(9.0, 5.0, left_percent), [])
