@@ -65,10 +65,13 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
         least = LIMITS.max_background_depth_rms if data.background is not None else LIMITS.min_depth_rms
-        if chdtrc(df, -2 * level) * len(data.places) > LIMITS.max_shape_p_value or depth < least:
+        plain_p = float(chdtrc(df, -2 * level)) * len(data.places)
+        if plain_p > LIMITS.max_screened_p_value or depth < least:
+            continue
+        own = _shape_findings(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+        if plain_p > LIMITS.max_shape_p_value and min((f.p_value for f in own), default=1.0) > LIMITS.max_shape_p_value:
             continue
         shaped.add(i)
-        own = _shape_findings(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
         out += own or ([_unknown_finding(point, i, c, u, level)] if depth > LIMITS.min_unknown_depth_rms else [])
     out += find_noisy_sensors(model, point, noise, shaped)
     return out + _find_shared_force(model, point)

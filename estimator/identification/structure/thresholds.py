@@ -105,6 +105,7 @@ class Thresholds:
     start_noise_rel: float = 1e-4  # of the least PSD
 
     # spectral_shape
+    max_screened_p_value: float = 0.05  # of a spectrum whose cells as a whole do not show a cause that one shape does
     max_shape_p_value: float = 1e-3
     band_parts: int = 6  # of the band, in which a shared force is tested alone: as many as there are folds in time
     min_depth_rms: float = 0.015  # of ln(power / model): errors of filters and integrators are smaller

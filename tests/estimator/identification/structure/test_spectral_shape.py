@@ -151,7 +151,7 @@ def test_noise_of_the_sensors_comes_through_a_stiff_shaft_too() -> None:
 
 
 @pytest.mark.slow
-def test_pedestals_of_all_caps_beside_a_stiff_shaft_are_found_together() -> None:
+def test_modes_of_all_caps_beside_a_stiff_shaft_are_found_together() -> None:
     """Without what the other caps answer one of them was found, with numbers that led its fit astray."""
     rig = replace(coupled_on_a_stiff_shaft(), effects=())
     own = {
@@ -159,12 +159,16 @@ def test_pedestals_of_all_caps_beside_a_stiff_shaft_are_found_together() -> None
         for p, hz in zip(rig.places, (1300.0, 1200.0, 1100.0, 1240.0), strict=True)
     }
     y = simulate(replace(rig, effects=(EffectUse("pedestal", own),)), RATE, 20.0, seed=4, noise=0.0)
-    ladder = improve(replace(rig, linear={}), y, RATE)
-    assert ladder.rungs[-1].effects == ("pedestal",)
-    assert ladder.last.verdict == "complete"
+    whole = fit_all_effects(replace(rig, linear={}), y, RATE)
+    assert whole.model.background is not None
     for place, settings in own.items():
-        got = ladder.parameters[f"{place}.pedestal.frequency"]
-        assert got.value == pytest.approx(settings["frequency"].value, abs=4 * got.sd)
+        (mode,) = whole.model.background.at[place].modes
+        assert mode.frequency_hz == pytest.approx(settings["frequency"].value, rel=0.005)
+        kL = whole.parameters[f"{place}.kL"]
+        assert kL.value == pytest.approx(rig.linear[place]["kL"].value, abs=4 * kL.sd)
+    ladder = improve(replace(rig, linear={}), y, RATE)
+    assert ladder.rungs[-1].effects == ()
+    assert ladder.last.verdict == "complete"
 
 
 @pytest.mark.slow
