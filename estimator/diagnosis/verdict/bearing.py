@@ -14,11 +14,11 @@ from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
 from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import LINE_NAMES
+from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import FullFit
-from estimator.identification.finding import OTHER_BEARING
+from estimator.identification.finding import OTHER_BEARING, is_cause_of_spectrum
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
@@ -42,6 +42,7 @@ SPECTRUM_UNEXPLAINED = Message(
     "rotor at these frequencies, and the sensor",
 )
 SHAFT_HARMONICS = frozenset(PERIODIC_EFFECTS).difference(LINE_NAMES, {LOCAL_DEFECT.name})
+CAUSES_OF_SPECTRUM = frozenset(name for name in CATALOGUE if is_cause_of_spectrum(name))  # a background holds them
 TWO_LAWS = "two_laws_fit"  # code: two laws of one state leave little together
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
 NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code})
@@ -146,6 +147,7 @@ def _judged_by_rule(
 ) -> BearingJudgement:  # fmt: skip
     """As `judge_bearing`. untried : is given the remark on mistakes that were not tried."""
     found = rank_on_part(model, survey, say)
+    refused |= CAUSES_OF_SPECTRUM if point.data.background is not None else frozenset()
     if survey.too_strong is not None:
         return BearingJudgement("unknown", tuple(found.entries), messages=(survey.too_strong,))
     mistake = partial(judged_mistake, model, y, point.data.rate_hz, survey, refused=refused, untried=untried)

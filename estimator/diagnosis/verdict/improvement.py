@@ -23,7 +23,7 @@ from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
 from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing, quiet
 from .clipped import with_clipped_channels
-from .ladder import CAUSES_OF_SPECTRUM, Ladder, Rung
+from .ladder import Ladder, Rung
 from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings
 
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
@@ -160,7 +160,7 @@ def improvement(
     while True:
         step = len(diagnoses)
         whole = ladder.whole
-        untried = refused | (CAUSES_OF_SPECTRUM if whole.model.background is not None else frozenset())
+        untried = refused
         if len(ladder.rungs) > 1 and ladder.survey.explained:  # no shaft is blamed beside laws that explain all
             untried |= {RIG_FILE}
         found = diagnose(whole.model, whole.point, y, _second_half(say, step / (step + 1.0)), untried, ladder.survey)

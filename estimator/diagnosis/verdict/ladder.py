@@ -30,7 +30,6 @@ from estimator.model.rig import Model
 
 # may lie out of the band or outside the likelihood, so the held-out likelihood does not judge them
 UNSCORED_EFFECTS = tuple(name for name, e in CATALOGUE.items() if not e.in_likelihood)
-CAUSES_OF_SPECTRUM = frozenset(name for name in CATALOGUE if is_cause_of_spectrum(name))  # a background holds them
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ class Ladder:
         """
         whole, survey = self.whole, self.survey
         entries = ranked_entries(whole.model, survey.part, (), survey.missing, survey.findings)
-        causes = [e for e in entries if e.effect in CAUSES_OF_SPECTRUM and e.p_value <= THRESHOLDS.max_p_value]
+        causes = [e for e in entries if is_cause_of_spectrum(e.effect) and e.p_value <= THRESHOLDS.max_p_value]
         if whole.model.background is not None or not causes:
             return
         background, _ = background_of_spectra(whole.model, whole.point, Work())
