@@ -86,6 +86,8 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     except NotFiniteError:  # far from the rotor
         return JointFit(entry=entry, left_rel=1.0, gain_nats=-np.inf)
     entry, after = at_identifiable_bearings(part, entry, after)
+    if has_impossible_amplitude(entry, after):
+        return JointFit(entry=entry, left_rel=1.0, gain_nats=-np.inf)
     before = part
     if after.data.bins.size < part.data.bins.size:  # beside a law of the shaft bins are left out
         before = fit_model(after.data, list(part.placed), start=part)
@@ -97,6 +99,14 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     entry = replace(entry, after_percent=left.interval(tuple(sorted(entry.places)))[0], parameters=values)
     left_rel, least = left_of_own_state(survey.missing, left, entry)
     return JointFit(entry=entry, left_rel=left_rel, least_left_rel=least, gain_nats=gain)
+
+
+def has_impossible_amplitude(entry: Entry, after: WorkingPoint) -> bool:
+    """Whether a law is fitted with an amplitude beyond its limits, such as a damping that drives the rotor."""
+    known = fitted_parameters(after)
+    names = {law.name(k): q for law in entry.placed for k, q in enumerate(law.effect.parameters) if q.linear}
+    values = ((known[name].value, q) for name, q in names.items() if name in known)
+    return any(value is not None and not q.low <= value <= q.high for value, q in values)
 
 
 def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> tuple[float, float]:

@@ -25,13 +25,14 @@ from estimator.diagnosis.verdict.gates import (
     significant,
     told_from_zero,
 )
-from estimator.diagnosis.verdict.joint_fit import JointFit, left_of_own_state
+from estimator.diagnosis.verdict.joint_fit import JointFit, has_impossible_amplitude, left_of_own_state
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual.missing_force import MissingForce
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import MotionRecord
-from estimator.model import BearingGeometry
+from estimator.model import BearingGeometry, EffectUse, Setting
 from estimator.model.background import Background
 from estimator.model.rig import Model
 from estimator.results import Parameter
@@ -177,3 +178,23 @@ def test_no_effect_is_named_beside_an_adequate_model(context: Context) -> None:
     found = bearing.judge_bearing(context.model, context.point, context.y, survey=context.survey)
     assert found.verdict == "complete"
     assert not any(e.gates for e in found.ranking)
+
+
+@pytest.mark.parametrize(
+    ("there", "strength", "impossible"), [("coulomb", {"fc": 0.5}, True), ("quadratic_damping", {"cq": 2e4}, False)]
+)
+def test_a_damping_that_drives_the_rotor_is_refused(there: str, strength: dict[str, float], impossible: bool) -> None:
+    """The damping of dry friction falls with the level: a quadratic damping fits it with a negative amplitude."""
+    model, place = rig(), "bearing1.x"
+    hidden = EffectUse(there, {place: {name: Setting(value) for name, value in strength.items()}})
+    y = simulate(replace(model, effects=(hidden,)), RATE, 4.0, seed=1)
+    point = fit_all_effects(model, y, RATE).point
+    law = LocatedLaw(
+        effect=CATALOGUE["quadratic_damping"], key=f"{place}.quadratic_damping", at=(0,), p=np.ones(1), free=(True,)
+    )
+    after = fit_model(point.data, [law], start=point)
+    entry = Entry(
+        effect="quadratic_damping", at=("bearing1",), gain=9.0, heldout_gain=9.0, p_value=0.0, parameters={}, score=9.0,
+        placed=(law,),
+    )  # fmt: skip
+    assert has_impossible_amplitude(entry, after) is impossible
