@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
@@ -88,7 +86,7 @@ class Ladder:
             one = self._with_settings(causes[0])
         except DataError:
             return
-        comparable = np.array_equal(modes.point.data.bins, one.point.data.bins)
+        comparable = modes.point.data.is_judged_like(one.point.data)
         data = modes.point.data
         gain_nats = (heldout_nll(one.point) - heldout_nll(modes.point)) * data.blocks * data.block
         if not comparable or gain_nats < STRUCTURE_LIMITS.min_gain_nats:
@@ -110,7 +108,7 @@ class Ladder:
         if new is None:
             return "cannot be distinguished from zero when fitted"
         point, last, shift = self.whole.point, self.rungs[-1], self._shift
-        if (data := new.point.data).bins.size < point.data.bins.size:  # left out beside a crack
+        if not (data := new.point.data).is_judged_like(point.data):  # bins are left out beside a crack
             shift = last.heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
         now, survey = surveyed_rung(new.model, new.point, self._y)
         now = replace(now, heldout_nll=now.heldout_nll + shift)
@@ -168,7 +166,7 @@ class Ladder:
             return new
         again = replace(new.model, mass=self._given.mass, background=self._background)  # found anew
         refitted = _refitted(again, self._y, self._rate_hz)
-        comparable = np.array_equal(refitted.point.data.bins, richer.data.bins)
+        comparable = refitted.point.data.is_judged_like(richer.data)
         return new if comparable and heldout_nll(richer) < heldout_nll(refitted.point) else refitted
 
     def _with_settings(self, best: Entry) -> FullFit:

@@ -72,7 +72,8 @@ def fit_model(
         )
         data, settled = _renewed_record(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
-            data = point.data.with_mass(mass) if point.data.free_inertia else point.data
+            data = _with_leaking_edges(point)
+            data = data.with_mass(mass) if data.free_inertia else data
             return replace(point, data=data, kL=kL, c=c, placed=tuple(uses))
         data = data.with_mass(mass) if data.free_inertia else data
         rounds -= 1
@@ -91,11 +92,19 @@ def _start_values(
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
         data = data.with_mass(start.data.mass) if data.free_inertia else data
-        data = _denoised(replace(data, out_of_band_sd=start.data.out_of_band_sd), nu, start.S)
+        edges_hz, outside = start.data.leaking_edges_hz, start.data.out_of_band_sd
+        data = _denoised(replace(data, out_of_band_sd=outside, leaking_edges_hz=edges_hz), nu, start.S)
     known = {u.key for u in start.placed}
     if new := sorted({i for u in uses if u.key not in known for i in u.at}):  # a strong law takes over much of kL and c
         kL[new], c[new] = (values[new] for values in _first_linear_values(data, uses, start.lin)[:2])
     return data, kL, c, nu, S
+
+
+def _with_leaking_edges(point: WorkingPoint) -> MotionRecord:
+    """The record of a point with the edges of the band from which noise leaks there."""
+    leakage = point.whitening.leakage
+    known = leakage is None or leakage.edges_hz == point.data.leaking_edges_hz or not any(leakage.edges_hz)
+    return point.data if known or leakage is None else replace(point.data, leaking_edges_hz=leakage.edges_hz)
 
 
 def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
@@ -103,7 +112,7 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
 
     nu : (places,) sensor noise over S. settled : whether the sensor noise has settled.
     """
-    data = point.data
+    data = _with_leaking_edges(point)
     data = data if settled else _denoised(data, nu, point.S)
     outside = _out_of_band_sd(point)
     if not np.allclose(outside, data.out_of_band_sd, rtol=LIMITS.left_out_tolerance_rel, atol=0.0):

@@ -62,6 +62,7 @@ class MotionRecord:
     disc : the disc on a massless shaft; None without one. rotor : shaft and discs as the caps move them, or None.
     below_band_force : (places, n) N, measured forces below the band; None without measured forces.
     lines : narrow lines of the record in the band, whose bins are left out.
+    leaking_edges_hz : by place, the edge of the band from which noise leaks, 0 for none; empty before it is known.
     deflects_at_lines : whether x, v and known have these lines.
     held : kL and c that the rig file fixes, by name such as "bearing1.x.kL", N/m and N s/m.
     free_inertia : by index of a place whose mass is fitted, (n,) m/s^2 band-limited acceleration.
@@ -100,10 +101,15 @@ class MotionRecord:
     rotor: Rotor | None = None
     below_band_force: Series | None = None
     lines: tuple[LineBand, ...] = ()
+    leaking_edges_hz: tuple[float, ...] = ()
     deflects_at_lines: bool = True
     held: Mapping[str, float] = field(default_factory=dict)
     free_inertia: Mapping[int, Series] = field(default_factory=dict)
     background: Background | None = None
+
+    def is_judged_like(self, other: MotionRecord) -> bool:
+        """Whether the likelihood is of the same share of the same bins as that of another record."""
+        return self.leaking_edges_hz == other.leaking_edges_hz and np.array_equal(self.bins, other.bins)
 
     @property
     def measured_force(self) -> bool:

@@ -26,10 +26,12 @@ class Leakage:
     """Shapes of the leakage of narrow lines and of noise at an edge of the band.
 
     shapes : (places, bins, k) orthonormal, of whitened spectra. kept : (places, bins) share of each bin that remains.
+    edges_hz : by place, the edge of the band from which noise leaks; 0 for none.
     """
 
     shapes: NDArray[np.float32]
     kept: Array
+    edges_hz: tuple[float, ...]
 
     def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
         """Project the shapes out of spectra Z (blocks, 2 bins) at place i, in place. It needs as much memory again."""
@@ -42,13 +44,19 @@ class Leakage:
 def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage | None:
     """The shapes; None where no disc resonates in the band, no line is strong and no noise leaks.
 
+    An edge that leaked once is taken out in all of a fit: with and without it likelihoods are of other data.
+
     weights : (places, bins) of the spectra.
     """
     forms = [form for f0 in leaking_lines(data) for form in _forms(data, f0, LIMITS.line_powers)]
     for f0 in () if data.rotor is None else data.rotor.resonances_hz:
         if data.band[0] < f0 < data.band[1]:
             forms += _forms(data, f0, LIMITS.disc_powers)  # the notch of the shaft leaves it out
-    edges = [leaking_edge(data, 1.0 / np.square(own, dtype=np.float64)) for own in weights]
+    known = data.leaking_edges_hz or (0.0,) * len(weights)
+    edges = tuple(
+        edge or leaking_edge(data, 1.0 / np.square(own, dtype=np.float64)) or 0.0
+        for edge, own in zip(known, weights, strict=True)
+    )
     if not forms and not any(edges):
         return None
     shapes = np.zeros((len(weights), data.f_hz.size, len(forms) + sum(LIMITS.line_powers) + 1), np.float32)
@@ -60,7 +68,7 @@ def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage |
             Q, _ = np.linalg.qr(own[:, None] * (np.stack(columns, axis=1) / np.linalg.norm(columns, axis=1)))
             kept[i] -= np.sum(Q**2, axis=1)
             shapes[i, :, : Q.shape[1]] = Q
-    return Leakage(shapes[:, :, shapes.any(axis=(0, 1))], kept)
+    return Leakage(shapes[:, :, shapes.any(axis=(0, 1))], kept, edges)
 
 
 def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array]:
