@@ -14,6 +14,7 @@ from estimator import Channel, Model, compare, fit
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure.cross_spectra import CrossSpectra
 from estimator.identification.structure.joint_spectrum import JointSpectrum, JointValues, ModePlace
+from estimator.identification.structure.thresholds import LIMITS
 from estimator.model.background import BearingBackground, StructuralMode
 
 RATE_HZ = 8192.0
@@ -102,6 +103,32 @@ def test_a_filter_near_the_upper_edge_of_the_band_is_no_mode_there() -> None:
     background = fit_all_effects(rig(), sosfilt(sos, record_with_modes(16.0), axis=0), RATE_HZ).model.background
     assert background is not None
     assert len(background.at["bearing1.x"].modes) == 2
+
+
+def test_a_value_at_its_limit_does_not_hold_the_others_back() -> None:
+    """A part on the cap that is damped beyond the limit of a mode: all else is at its likeliest value beside it."""
+    f = np.linspace(150.0, 900.0, 250)
+    s = 2j * np.pi * f
+    part = StructuralMode(form="attached", mass=0.05, frequency_hz=600.0, damping=0.3)
+    Z0 = (s * s + part.attached_stiffness(s))[:, None, None]
+    kL, c, n = (2.0 * np.pi * 400.0) ** 2, 60.0, np.full(f.size, 400.0)
+    power = np.abs(s**2 / (Z0[:, 0, 0] + kL + c * s)) ** 2 + 1e-3
+    problem = JointSpectrum(
+        spectra=CrossSpectra(
+            places=(0,), f_hz=f, psd=power[:, None, None].astype(complex), n=n, noise=np.ones((f.size, 1))
+        ),
+        Z0=(s * s)[:, None, None], laws=np.zeros((f.size, 1), complex), mass=np.ones(1), shape=np.ones((f.size, 1)),
+        damping0=np.log([c]),
+    )  # fmt: skip
+    start = JointValues(
+        force=np.zeros((1, 1)), noise=np.log([1e-3]), stiffness=np.log([0.8 * kL]), damping=np.log([2.0 * c])
+    ).with_mode(ModePlace(0, "attached"), np.log([500.0, 0.02, 0.02]))
+    found = problem.maximised(start)
+    assert np.exp(found.values.q[0, 1]) == pytest.approx(LIMITS.damping_ratio_limits[1])
+    free = np.arange(found.values.vector().size) != found.values.vector().size - 2
+    J, r = problem.score(found)
+    left_nats = 0.5 * (J[free] @ r) @ np.linalg.solve(J[free] @ J[free].T, J[free] @ r)
+    assert left_nats < 1.0
 
 
 def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
