@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from io import BytesIO
 from typing import Any, TypeVar
 
@@ -124,6 +125,21 @@ def map_processes(
     if status == 0 and data:
         out |= _unpickled(data, kept)
     return [out[k] if k in out else question() for k, question in enumerate(questions)]
+
+
+def map_single_core(questions: Sequence[Callable[[], R]]) -> list[R]:
+    """The results of functions, as of `map_processes`, where each of several has one core.
+
+    None of them starts threads or processes of its own.
+    """
+    if len(questions) == 1:
+        return [questions[0]()]
+
+    def on_one_core(question: Callable[[], R]) -> R:
+        with one_core():
+            return question()
+
+    return map_processes([partial(on_one_core, question) for question in questions])
 
 
 def _alone() -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from estimator.parallel import map_processes, map_threads, one_core
+from estimator.parallel import map_processes, map_single_core, map_threads, one_core
 
 BEGIN = """
 import json, os, signal, sys, time
@@ -139,3 +139,11 @@ def test_on_one_core_everything_is_done_here_and_now() -> None:
         assert map_processes([os.getpid, threading.active_count]) == [os.getpid(), threading.active_count()]
     assert told == [1, 2, 3]
     assert set(map_threads(lambda _: threading.get_ident(), range(3))) != {threading.get_ident()}
+
+
+def test_several_questions_with_one_core_each_start_no_threads() -> None:
+    def threads_of_a_map() -> int:
+        return len({*map_threads(lambda _: threading.get_ident(), range(3))} - {threading.get_ident()})
+
+    assert map_single_core([threads_of_a_map] * 3) == [0, 0, 0]
+    assert map_single_core([threads_of_a_map]) != [0]

@@ -6,10 +6,9 @@ What kL and c lose in certainty by the background is part of the result.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from scipy.special import expit
@@ -18,7 +17,7 @@ from estimator.arrays import Array, Complexes, products
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, BearingBackground, ModeForm
 from estimator.model.rig import Model
-from estimator.parallel import map_processes, one_core
+from estimator.parallel import map_single_core
 
 from .cross_spectra import Work
 from .joint_spectrum import MASS_RATIO_LIMITS, JointPoint, JointSpectrum, JointValues, ModePlace, Solution
@@ -34,8 +33,6 @@ from .spectral_problem import (
 )
 from .spectral_shape import nats_of_one_cause
 from .thresholds import LIMITS
-
-R = TypeVar("R")
 
 
 def find_background(model: Model, point: WorkingPoint) -> Background | None:
@@ -94,21 +91,9 @@ def background_of_spectra(
     asked = [
         partial(_of_direction, model, point, places, work, thorough) for places in caps_by_direction(point.data.places)
     ]
-    found = on_two_cores(asked) if thorough else [ask() for ask in asked]
+    found = map_single_core(asked) if thorough else [ask() for ask in asked]
     at = {place: own for caps, _ in found for place, own in caps.items()}
     return (Background(at=at) if at else None), sum(gained for _, gained in found)
-
-
-def on_two_cores(questions: Sequence[Callable[[], R]]) -> list[R]:
-    """The results of questions, as of `map_processes`, each of several on one core."""
-    if len(questions) == 1:
-        return [questions[0]()]
-
-    def alone(question: Callable[[], R]) -> R:
-        with one_core():
-            return question()
-
-    return map_processes([partial(alone, question) for question in questions])
 
 
 def _of_direction(
@@ -146,7 +131,7 @@ def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
     A search from white forces follows where the others leave something to be explained. least : nats that a mode has to
     gain.
     """
-    found = on_two_cores([partial(search_background, *start, least, thorough=True) for start in starts])
+    found = map_single_core([partial(search_background, *start, least, thorough=True) for start in starts])
     if all(float(problem.misfit(point).max()) > LIMITS.explained_misfit for problem, point in found):
         problem, point = starts[0]
         white = replace(problem, octaves=np.inf, fall_power=0)

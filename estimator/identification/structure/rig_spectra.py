@@ -16,10 +16,10 @@ from scipy.special import chdtrc
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
+from estimator.parallel import map_single_core
 
 from .background_search import (
     force_dispersion,
-    on_two_cores,
     score_nats,
     search_background,
     search_from_starts,
@@ -148,7 +148,8 @@ class RigSpectra:
         Raises numpy.linalg.LinAlgError where the rig explains nothing.
         """
         started, limit = self._started(model, channels, start), self._work.limit - self._work.done
-        found, done = zip(*on_two_cores([partial(self._searched, one, start, limit) for one in started]), strict=True)
+        asked = [partial(self._searched, one, start, limit) for one in started]
+        found, done = zip(*map_single_core(asked), strict=True)
         self._work.add_all(done)
         return self._fit([(replace(problem, work=self._work), point) for problem, point in found], channels)
 
