@@ -135,8 +135,9 @@ def _over_many(t_ns: F64Array, resolution_ns: float) -> Period | None:
         error_ns = spread_ns / float(np.sqrt(n / width))
         scale = scale or middle
         if 0.5 * scale <= middle <= 1.05 * scale and middle > 0.0 and error_ns < least:  # else shorter than a burst
-            most = steps[(steps >= low) & (steps <= high)]  # their mean, for the median of coarse stamps is coarse
-            best, least = Period(float(most.mean()), error_ns / middle, False), error_ns
+            mean = float(steps[(steps >= low) & (steps <= high)].mean())  # for the median of coarse stamps is coarse
+            if mean > 0.0:  # not so of stamps that go to and fro
+                best, least = Period(mean, error_ns / middle, False), error_ns
     return best
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.protocol.period import estimate_period, round_rate
@@ -237,6 +237,7 @@ def test_a_leap_over_days_is_a_gap_of_a_second_and_told() -> None:
 
 
 @given(st.lists(st.integers(-(2**62), 2**62), max_size=40), st.integers(1, 9), st.sampled_from([None, 100.0, 1e6]))
+@example([1, 0, -1, 3, 0, 0, 0, 1], 1, None)  # a mean period of zero
 def test_indices_always_rise(times: list[int], batch: int, rate_hz: float | None) -> None:
     axis, t_ns = TimeAxis(rate_hz), np.array(times, np.int64)
     parts = [axis.place(t_ns[k : k + batch]).index for k in range(0, len(t_ns), batch)]
