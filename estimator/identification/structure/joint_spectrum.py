@@ -232,7 +232,7 @@ class JointSpectrum:
 
         Returns (parameters, rows) derivatives and (rows,) residuals.
         """
-        n, caps = self.spectra.n, np.arange(self.mass.size)
+        n = self.spectra.n
         columns, rows = response_ends(point.W, point.T, point.signal, point.s)
         changed = list(self._changes(point))
         dZ = np.zeros((len(changed), *point.S.shape), np.complex128)
@@ -244,9 +244,7 @@ class JointSpectrum:
         cap_of = np.array([cap for cap, _ in changed])
         J = derivative_rows(point.W, point.s, point.S, point.N, self.basis, n, columns, rows, cap_of, dZ)
         self.work.add(J.size)
-        off = point.R.copy()
-        off[:, caps, caps] -= 1.0
-        return J, rows_of_matrices(off, n)
+        return J, rows_of_matrices(point.R - np.eye(self.mass.size), n)
 
     def _changes(self, point: JointPoint) -> Iterator[tuple[int, Complexes]]:
         """Cap and derivative of its dynamic stiffness (cells,), or of that to all caps (cells, caps), by parameter.

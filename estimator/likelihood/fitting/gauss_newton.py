@@ -103,8 +103,10 @@ def _start_values(
 def _with_leaking_edges(point: WorkingPoint) -> MotionRecord:
     """The record of a point with the edges of the band from which noise leaks there."""
     leakage = point.whitening.leakage
-    known = leakage is None or leakage.edges_hz == point.data.leaking_edges_hz or not any(leakage.edges_hz)
-    return point.data if known or leakage is None else replace(point.data, leaking_edges_hz=leakage.edges_hz)
+    edges_hz = () if leakage is None or not any(leakage.edges_hz) else leakage.edges_hz
+    if edges_hz in ((), point.data.leaking_edges_hz):
+        return point.data
+    return replace(point.data, leaking_edges_hz=edges_hz)
 
 
 def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
