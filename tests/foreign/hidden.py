@@ -52,7 +52,7 @@ PARAMETERS = {  # in the order that `numbers` gives them
 @dataclass(frozen=True, slots=True)
 class Size:
     """Of a cap, of the linear rotor: m kg, kL N/m, x and v rms in SI, a of what the sensor's channel measures;
-    seconds, turn (rad/s) and ball order of the record."""
+    seconds, turn (rad/s), ball order and balls of the record."""
 
     m: float
     kL: float
@@ -63,6 +63,7 @@ class Size:
     turn: float
     order: float
     shaft: float
+    balls: int = 6
 
 
 def numbers(name: str, share: float, at: Size, rng: np.random.Generator) -> tuple[float, ...]:
@@ -98,7 +99,7 @@ def numbers(name: str, share: float, at: Size, rng: np.random.Generator) -> tupl
         "bouc_wen": (1.0, spread(0.5, 1.5) * x),
         "ball_pass": (*(np.array([np.cos(a := spread(0, 6.28)), np.sin(a)])), at.order),
         "local_defect": (1.0, at.order, spread(0.0, 6.28), spread(0.03, 0.1)),
-        "hertz": (1.0, spread(-0.5, 2.5) * x, 6.0),
+        "hertz": (1.0, spread(-0.5, 2.5) * x, float(at.balls)),
         "rub": (1.0, spread(0.1, 0.3), spread(1.0, 1.8) * x),
         "stiffness_drift": (1.0, 0.0),
         "saturating": (1.0, spread(0.6, 1.5) * x),

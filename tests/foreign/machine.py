@@ -98,8 +98,9 @@ class Machine:
             x, v = np.sqrt(g @ P[:n, :n] @ g), np.sqrt(g @ P[n:, n:] @ g)
             channel = np.sqrt(P[n + i, n + i]) if s.sensor == "velocity" else a[i]
             self.size[place] = hidden.Size(
-                s.m[place[:8]], s.kL[place], x, v, channel, s.seconds, self.turn, s.orders["BPFO"], s.ks
-            )
+                s.m[place[:8]], s.kL[place], x, v, channel, s.seconds, self.turn, s.orders["BPFO"], s.ks,
+                s.balls,
+            )  # fmt: skip
 
     def receptance(self, rad_s: float) -> NDArray[np.complex128]:
         """(n, n) m/N of the linear rotor."""
