@@ -151,7 +151,7 @@ def _searched(
             return FoundBackground(stiffness)
         if background.agrees_with(model.background):
             return None
-        if model.background is None and one_cause_is_enough(model, point, gain_nats):
+        if model.background is None and one_cause_is_enough(model, point, background, gain_nats):
             return None
         own = replace(model, background=background)
         point = fit_record(own, motion_record(own, corrected_record(own, y, rate_hz), rate_hz, block))

@@ -51,15 +51,16 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
     found, gain_nats = background_of_spectra(model, point, Work())
     if found is None or model.background is not None:
         return found
-    return None if one_cause_is_enough(model, point, gain_nats) else found
+    return None if one_cause_is_enough(model, point, found, gain_nats) else found
 
 
-def one_cause_is_enough(model: Model, point: WorkingPoint, gain_nats: float) -> bool:
+def one_cause_is_enough(model: Model, point: WorkingPoint, found: Background, gain_nats: float) -> bool:
     """Whether no location has a spectral shape, or one cause of the catalogue explains all as well as a background.
 
-    gain_nats : of the background.
+    One pedestal is no cause of several modes at a place. gain_nats : of the background.
     """
-    cause_nats = nats_of_one_cause(model, point)
+    several = any(len(own.modes) > 1 for own in found.at.values())
+    cause_nats = nats_of_one_cause(model, point, several_modes=several)
     if not cause_nats:
         return cause_nats is None
     return gain_nats < cause_nats / LIMITS.explained_share + LIMITS.min_gain_nats * force_dispersion(point)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from estimator.arrays import Array, Complexes
+from estimator.effects import NAMED
 from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
 from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
@@ -77,17 +78,18 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     return out + _find_shared_force(model, point)
 
 
-def nats_of_one_cause(model: Model, point: WorkingPoint) -> float | None:
+def nats_of_one_cause(model: Model, point: WorkingPoint, several_modes: bool = False) -> float | None:
     """Nats that one cause of the catalogue gains if it explains the spectral shapes of all locations; 0 if none does.
 
-    None where no location has a spectral shape.
+    None where no location has a spectral shape. several_modes : whether a cause that adds one mode is none.
     """
     found = find_spectral_shapes(model, point)
     shaped = {place for f in found for place in f.power_N2 if is_cause_of_spectrum(f.effect)}
     if not shaped:
         return None
     gains = [0.0]
-    for effect in {f.effect for f in found}:
+    refused = {name for name, e in NAMED.items() if e.adds_resonance} if several_modes else set()
+    for effect in {f.effect for f in found} - refused:
         own = [f for f in found if f.effect == effect and f.explained_share > LIMITS.explained_share]
         if {place for f in own for place in f.power_N2} >= shaped:
             gains.append(sum(f.gain_nats for f in own))
