@@ -19,7 +19,7 @@ from estimator.results import Message, Parameter, messages_json
 from .curves import Law, Shape, curves
 from .failure_map import FailureRegion, failure_regions
 from .heldout import heldout_nll, heldout_rmse, reference_nll
-from .survey import survey_bearing
+from .survey import law_text, survey_bearing
 from .twin import Twin, twin
 
 Progress = Callable[[float, str], None]
@@ -133,7 +133,7 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
     return Comparison(
         heldout_nll=nll,
         reference_nll=reference,
-        missing=found.interval(),
+        missing=survey.interval,
         where=where,
         adequate=survey.adequate,
         curves=drawn,
@@ -144,6 +144,7 @@ def _of_usable(usable: UsableRecord, rate_hz: float, say: Progress) -> Compariso
             *usable.messages,
             *whole.messages,
             *(() if survey.inconclusive is None else (survey.inconclusive,)),
+            *(() if survey.law is None else (Message("law_predicts", law_text(survey.law)),)),
             *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
         **{f.name: getattr(beside, f.name) for f in fields(beside)},

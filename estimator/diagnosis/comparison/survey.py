@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from estimator.arrays import Array, return_freed_memory
+from estimator.diagnosis.hypotheses.ranking import Entry, is_sure_law
+from estimator.diagnosis.hypotheses.screen import Progress, Ranking, rank_on_part
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
@@ -22,12 +26,23 @@ from estimator.results import NOT_CONCLUSIVE, Message
 from .thresholds import LIMITS
 
 
+def quiet(fraction: float, text: str) -> None:
+    """No progress shown."""
+
+
+def law_text(law: Entry) -> str:
+    """What a law predicts that no regressor on the states does, for a message."""
+    return f"{law.effect} at {', '.join(law.at)} predicts {law.heldout_gain:.0f} held-out nats of the residual force"
+
+
 @dataclass(frozen=True, kw_only=True)
 class BearingSurvey:
     """What a fitted model leaves over.
 
     Parameters
     ----------
+    model : Model
+        The model of the working point.
     part : WorkingPoint
         The model on the part of the record that is surveyed.
     missing : MissingForce
@@ -36,19 +51,48 @@ class BearingSurvey:
         Tones, spectra and faults of sensors, strongest first.
     speed_lacks : bool
         Whether the geometry of the bearing is given and the speed of the shaft is unknown.
-    unexplained_places : tuple of str
-        Measured places where no mode can be the bearing's.
+    say : callable
+        Progress of the trials.
     """
 
+    model: Model
     part: WorkingPoint
     missing: MissingForce
     findings: tuple[Finding, ...]
     speed_lacks: bool = False
-    unexplained_places: tuple[str, ...] = ()
+    say: Progress = quiet
+
+    @cached_property
+    def ranking(self) -> Ranking:
+        """The causes of what is left over, from the part of the record that was surveyed."""
+        return rank_on_part(self.model, self.part, self.missing, self.findings, self.say)
+
+    @cached_property
+    def law(self) -> Entry | None:
+        """The law that predicts what no regressor on the states does, beside structural modes; None for none.
+
+        Errors of the modes hide a force from the regressors that the one law of the right form finds.
+        """
+        if self.part.data.background is None or not self._explained_by_states:
+            return None
+        return next((e for e in self.ranking.entries if is_sure_law(e)), None)
+
+    @property
+    def interval(self) -> tuple[float, float, float]:
+        """Rms of the missing force and its 95 % limits, per cent of the rms bearing force."""
+        if self.law is None:
+            return self.missing.interval()
+        value, sd_rel = self.law.explained_percent, 1.0 / np.sqrt(2.0 * self.law.gain)
+        return value, value * (1.0 - 1.96 * sd_rel), value * (1.0 + 1.96 * sd_rel)
 
     @property
     def explained(self) -> bool:
         """Whether nothing missing is found: no force, or a negligible one, or one that may be zero."""
+        return self._explained_by_states and self.law is None
+
+    @property
+    def _explained_by_states(self) -> bool:
+        """Whether regressors on the states, and the findings, show nothing that is missing."""
         value, low, _ = self.missing.interval()
         least = 100 * missing_force.negligible_force_share(self.part.data)
         return not self.missing.any_found() or value < least or low <= 0.0
@@ -72,15 +116,15 @@ class BearingSurvey:
             return self.too_strong
         fitted = fitted_parameters(self.part)
         loose = [place for place in self.part.data.places if not fitted[f"{place}.kL"].identifiable]
-        hidden = self.missing.interval()[2]
+        hidden = self.interval[2]
         if loose:
             text = f"the record does not tell the stiffness of {', '.join(loose)}: an effect could hide behind it"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer, or add a channel at the other bearing")
         if hidden > LIMITS.max_hidden_force_percent:
             text = f"no missing force is found, but one of up to {hidden:.1f} % of the bearing force could hide"
             return Message(NOT_CONCLUSIVE, f"{text}; record longer")
-        if self.unexplained_places:
-            text = f"no missing force is found, but {', '.join(self.unexplained_places)} cannot be judged"
+        if self.model.unexplained_places:
+            text = f"no missing force is found, but {', '.join(self.model.unexplained_places)} cannot be judged"
             return Message(NOT_CONCLUSIVE, f"{text}: give the masses, or narrow the band to the bearing's mode")
         if self.speed_lacks:
             text = "no missing force is found, but what turns with the shaft is not looked for, as its speed is unknown"
@@ -101,7 +145,7 @@ class BearingSurvey:
 
 
 def survey_bearing(
-    model: Model, point: WorkingPoint, y: Array, *more: Callable[[], Any]
+    model: Model, point: WorkingPoint, y: Array, *more: Callable[[], Any], say: Progress = quiet
 ) -> tuple[BearingSurvey, *tuple[Any, ...]]:
     """The survey of a fitted model, and the answers of `more`, computed beside it.
 
@@ -115,13 +159,14 @@ def survey_bearing(
         Samples in SI units, columns in the order of ``model.channels``.
     more : callables
         Further questions.
+    say : callable
+        Progress of the trials of laws.
     """
     return_freed_memory(y)
     part = point_on_part(point, missing_force.survey_seconds(point.data.rate_hz))
     found, findings, *answers = missing_force.survey_with(part, model, lambda: search(model, point, y), *more)
     lacks = model.bearing is not None and not point.data.speed
     survey = BearingSurvey(
-        part=part, missing=found, findings=tuple(findings), speed_lacks=lacks,
-        unexplained_places=model.unexplained_places,
+        model=model, part=part, missing=found, findings=tuple(findings), speed_lacks=lacks, say=say
     )  # fmt: skip
     return survey, *answers

@@ -13,7 +13,7 @@ from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
-from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
+from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.identification.residual import stiffness_order
 from estimator.identification.residual.group_fit import extra_power
 from estimator.identification.residual.missing_force import MissingForce
@@ -162,7 +162,13 @@ def ranked_entries(
     others = [s for s in others if s.effect != UNKNOWN_EFFECT and not _is_known_line(model, s)]
     for name in dict.fromkeys(s.effect for s in others):
         out.append(_finding_entry(model, point, [s for s in others if s.effect == name], before))
-    return in_order(behind_impact_train(out, model.band[0]))
+    return in_order(out)
+
+
+def is_sure_law(entry: Entry) -> bool:
+    """Whether a law is significant and predicts held-out data by more than two candidates may be apart."""
+    sure = entry.p_value <= THRESHOLDS.max_p_value and entry.heldout_gain >= THRESHOLDS.rival_nats
+    return bool(entry.placed) and sure
 
 
 def _is_known_line(model: Model, finding: Finding) -> bool:
@@ -179,24 +185,6 @@ def in_order(found: Sequence[Entry]) -> list[Entry]:
     sure = [e.force_explained_percent for e in found if e.p_value <= THRESHOLDS.max_p_value]
     least = THRESHOLDS.same_force_min_rel * max(sure, default=0.0)
     return sorted(found, key=lambda e: (e.force_explained_percent < least, -e.score))
-
-
-def behind_impact_train(found: list[Entry], low_hz: float) -> list[Entry]:
-    """Lines that are all below the band stand behind strikes in it: of these sampling folds harmonics to anywhere, and
-    what is at a few Hz is many times as much in newtons as in the motion that shows it."""
-    strikes = max((e.score for e in found if _is_impact_train(e) and e.p_value < MAX_P_VALUE), default=np.inf)
-    return [
-        replace(e, score=min(e.score, np.nextafter(strikes, -np.inf)))
-        if e.effect in LINE_NAMES
-        and all((q["frequency"].value or 0.0) < low_hz for own in e.settings.values() for q in own.values())
-        else e
-        for e in found
-    ]
-
-
-def _is_impact_train(entry: Entry) -> bool:
-    """Whether it is a force with every harmonic of its angle."""
-    return entry.effect in NAMED and NAMED[entry.effect].harmonics == "all"
 
 
 def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingForce) -> Entry:
@@ -216,7 +204,10 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     power = sum(max(extra_power(point, t.problem, t.fit)[0], 0.0) for t in used)
     was = before.interval(places)[0]
-    left = max(was**2 - 1e4 * power / scale, 0.0) ** 0.5
+    explained = 100 * float(np.sqrt(power / scale))
+    if not was and p <= THRESHOLDS.max_p_value:  # no regressor on the states shows it
+        was = explained
+    left = max(was**2 - explained**2, 0.0) ** 0.5
     return Entry(
         effect=used[0].effect.name,
         at=at,
@@ -227,7 +218,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
         after_percent=left,
         parameters={k: v for t in used for k, v in _parameters(point, t).items()},
         score=gain - THRESHOLDS.parameter_cost_nats * df if heldout > -3.0 else -np.inf,
-        explained_percent=100 * float(np.sqrt(power / scale)),
+        explained_percent=explained,
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
         notes=_part_note(point, used),

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.identification.finding import Finding
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.law_smoothing import compile_law
 from estimator.likelihood.motion.located_law import searched_parameters, trial_effects
 from estimator.likelihood.path.working_point import WorkingPoint, search_point
@@ -35,19 +36,22 @@ Progress = Callable[[float, str], None]
 class Ranking:
     """A ranking of causes.
 
-    survey : of the model. trials : every law at every location. entries : by effect, the likeliest first.
+    missing, findings : what the model leaves over. trials : every law at every location. entries : by effect, the
+    likeliest first.
     """
 
-    survey: BearingSurvey
+    missing: MissingForce
+    findings: tuple[Finding, ...]
     trials: list[Trial]
     entries: list[Entry]
 
 
-def rank_on_part(model: Model, survey: BearingSurvey, say: Progress) -> Ranking:
-    """The ranking of the causes of what a survey found, from the part of the record that was surveyed."""
-    trials = _trials(model, survey.part, say)
-    entries = ranking.ranked_entries(model, survey.part, trials, survey.missing, survey.findings)
-    return Ranking(survey, trials, entries)
+def rank_on_part(
+    model: Model, part: WorkingPoint, missing: MissingForce, findings: tuple[Finding, ...], say: Progress
+) -> Ranking:  # fmt: skip
+    """The ranking of the causes of what a model leaves over, from the part of the record that was surveyed."""
+    trials = _trials(model, part, say)
+    return Ranking(missing, findings, trials, ranking.ranked_entries(model, part, trials, missing, findings))
 
 
 def rank_on_record(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -> Ranking:
@@ -61,7 +65,7 @@ def rank_on_record(model: Model, point: WorkingPoint, found: Ranking, say: Progr
     worth = zip(are_contenders(found.trials), _with_promise(model, found.trials), strict=True)
     asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
     trials = map_processes(asked, [t.effect for t in found.trials])
-    entries = ranking.ranked_entries(model, point, trials, found.survey.missing, found.survey.findings)
+    entries = ranking.ranked_entries(model, point, trials, found.missing, found.findings)
     return replace(found, trials=trials, entries=entries)
 
 

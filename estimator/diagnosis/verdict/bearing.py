@@ -10,9 +10,9 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.curves import Shape, missing_force_curve
-from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
+from estimator.diagnosis.comparison.survey import BearingSurvey, law_text, quiet, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
-from estimator.diagnosis.hypotheses.screen import Progress, rank_on_part, rank_on_record
+from estimator.diagnosis.hypotheses.screen import Progress, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
@@ -108,10 +108,6 @@ class BearingJudgement(Judgement):
         return cls("unknown", (), judged=False, reason=reason)
 
 
-def quiet(fraction: float, text: str) -> None:
-    """No progress shown."""
-
-
 def judge_bearing(
     model: Model, point: WorkingPoint, y: Array, say: Progress = quiet, refused: frozenset[str] = frozenset(),
     survey: BearingSurvey | None = None,
@@ -136,7 +132,7 @@ def judge_bearing(
         Of this model, if it is known.
     """
     say(0.15, "what can still be predicted")
-    survey, untried = survey or survey_bearing(model, point, y)[0], list[Message]()
+    survey, untried = survey or survey_bearing(model, point, y, say=say)[0], list[Message]()
     found = _judged_by_rule(model, point, y, say, refused, survey, untried)
     return replace(found, messages=(*found.messages, *untried))
 
@@ -146,7 +142,7 @@ def _judged_by_rule(
     untried: list[Message],
 ) -> BearingJudgement:  # fmt: skip
     """As `judge_bearing`. untried : is given the remark on mistakes that were not tried."""
-    found = rank_on_part(model, survey, say)
+    found = survey.ranking
     refused |= CAUSES_OF_SPECTRUM if point.data.background is not None else frozenset()
     if survey.too_strong is not None:
         return BearingJudgement("unknown", tuple(found.entries), messages=(survey.too_strong,))
@@ -189,10 +185,11 @@ def _is_tone(entry: Entry) -> bool:
 def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) -> BearingJudgement:
     """The judgement where no missing force is found: complete if none could hide, but for a periodic force that passes.
 
-    Structural modes show that a record holds its surroundings, and every shaft has some 1X and 2X: beside modes these
-    are named by their severity alone.
+    Structural modes show that a record holds its surroundings, and every shaft has some 1X and 2X: beside modes, of the
+    bearing or of a place that is not judged for them, these are named by their severity alone.
     """
-    refused = refused if context.model.background is None else refused | SHAFT_HARMONICS
+    surrounded = context.model.background is not None or context.model.unexplained_places
+    refused = refused | SHAFT_HARMONICS if surrounded else refused
     tones = _judged_entries([e for e in entries if _is_tone(e) and e.effect not in refused], context)
     named = [e for e in tones if e.passed]
     rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]
@@ -243,12 +240,11 @@ def _law_beside(
     """
     rate_hz = whole.point.data.rate_hz
     part = y[: int(missing_force.survey_seconds(rate_hz) * rate_hz)]
-    survey = survey_bearing(whole.model, whole.point, part)[0]
+    survey = survey_bearing(whole.model, whole.point, part, say=say)[0]
     if survey.explained or not survey.missing.places_found():
         return None
-    found = rank_on_part(whole.model, survey, say)
     context = Context(model=whole.model, point=whole.point, y=part, survey=survey, say=say)
-    laws = [e for e in found.entries if e.placed and e.effect not in refused]
+    laws = [e for e in survey.ranking.entries if e.placed and e.effect not in refused]
     entries = _judged_entries(laws, context)
     named = [e for e in entries if e.passed]
     if not named:
@@ -299,8 +295,11 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
             state = min(nearest.places), "velocity" if nearest.law.state == "velocity" else "displacement"
         if (pair := fitting_pair(context, tried, entries)) is not None:
             said.append(Message(TWO_LAWS, f"two laws together fit: {pair.effect}"))
-    else:
+    elif survey.law is None:
         text = "part of the residual force is predictable, but no effect of the catalogue explains it significantly"
+        said.append(Message("none_significant", text))
+    else:
+        text = f"{law_text(survey.law)}, but is not sure enough to be named"
         said.append(Message("none_significant", text))
     said += _regions(before)
     groups = {f.group for r in before.residuals for f in r.found}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
+from estimator.diagnosis.comparison.survey import quiet
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -24,7 +25,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake, quiet
+from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake
 from .clipped import with_clipped_channels
 from .signal_findings import (
     have_one_order,

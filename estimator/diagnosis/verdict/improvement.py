@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.survey import BearingSurvey
+from estimator.diagnosis.comparison.survey import BearingSurvey, quiet
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -21,7 +21,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
-from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing, quiet
+from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing
 from .clipped import with_clipped_channels
 from .ladder import Ladder, Rung
 from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings

@@ -219,5 +219,5 @@ def surveyed_rung(model: Model, point: WorkingPoint, y: Array) -> tuple[Rung, Be
     survey, nll, rmse = survey_bearing(
         model, point, y, lambda: heldout_nll(point), lambda: heldout_rmse(model, y, point.data.rate_hz)
     )  # fmt: skip
-    value, low, high = (min(percent, 100.0) for percent in survey.missing.interval())  # a share of the force
+    value, low, high = (min(percent, 100.0) for percent in survey.interval)  # a share of the force
     return Rung(tuple(u.name for u in model.effects), nll, (value, low, high), rmse), survey

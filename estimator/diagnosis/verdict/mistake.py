@@ -45,7 +45,7 @@ def explaining_mistake(
         As of `likeliest_mistake`.
     """
     bare = replace(model, effects=tuple(use for use in model.effects if not is_disturbance(use)))
-    before = after = 0.0 if survey is None else survey.missing.interval()[0]
+    before = after = 0.0 if survey is None else survey.interval[0]
     untried: tuple[Message, ...] = ()
     try:
         trial = likeliest_mistake(bare, y, rate_hz, max_work)
@@ -56,7 +56,7 @@ def explaining_mistake(
             corrected = mistake.hypothesis.apply(replace(model, background=None), mistake.values)
             whole = fit_all_effects(corrected, y, rate_hz)
             left = survey_bearing(whole.model, whole.point, y)[0]
-            after = left.missing.interval()[0]
+            after = left.interval[0]
             if not left.explained and not _explains(survey, left):
                 return None, untried
     except (DataError, np.linalg.LinAlgError):
@@ -101,6 +101,5 @@ def _explains(survey: BearingSurvey | None, left: BearingSurvey) -> bool:
     """
     if survey is None:
         return True
-    before, after = survey.missing, left.missing
-    coupled = [any(d.against == OTHER_BEARING for d in one.disturbances) for one in (before, after)]
-    return after.interval()[1] <= THRESHOLDS.max_left_rel * before.interval()[0] or coupled == [True, False]
+    coupled = [any(d.against == OTHER_BEARING for d in one.missing.disturbances) for one in (survey, left)]
+    return left.interval[1] <= THRESHOLDS.max_left_rel * survey.interval[0] or coupled == [True, False]

@@ -6,7 +6,6 @@ import pytest
 from scipy.signal import iirpeak, lfilter
 
 from estimator.diagnosis.comparison.survey import survey_bearing
-from estimator.diagnosis.hypotheses.screen import rank_on_part
 from estimator.diagnosis.verdict.bearing import fitting_pair, quiet
 from estimator.diagnosis.verdict.gates import Context
 from estimator.diagnosis.verdict.ladder import Ladder
@@ -30,7 +29,7 @@ def test_two_laws_of_different_states_are_tried_together() -> None:
     y = simulate(truth, RATE_HZ, 6.0, seed=3, noise=0.0)
     whole = fit_all_effects(RIG, y, RATE_HZ)
     survey = survey_bearing(whole.model, whole.point, y)[0]
-    entries = {e.effect: e for e in rank_on_part(whole.model, survey, quiet).entries}
+    entries = {e.effect: e for e in survey.ranking.entries}
     context = Context(model=whole.model, point=whole.point, y=y, survey=survey, say=quiet)
     both = fitting_pair(context, [entries["cubic"], entries["quadratic_damping"]])
     assert both is not None

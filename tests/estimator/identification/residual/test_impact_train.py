@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
-from estimator.diagnosis.hypotheses import ranking
-from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Finding
 from estimator.identification.residual import impact_train as strikes
 from estimator.identification.residual import lines as line_forces
 from estimator.likelihood.motion.force_balance import shaft_notches
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 
 SECONDS = 8.0
@@ -86,31 +83,3 @@ def test_the_force_beside_harmonics_is_as_white_near_the_discs_resonance_as_else
         _, unit = strikes.forces_of_lines(point, s, bins, 0)
         spread.append(np.median(unit))
     assert spread[0] == pytest.approx(spread[1], rel=0.2)
-
-
-@pytest.mark.parametrize(("hz", "first"), [((4.3, 89.2), "local_defect"), ((4.3, 300.0), "line")])
-def test_lines_below_the_band_come_after_strikes_in_it(hz: tuple[float, ...], first: str) -> None:
-    """Of strikes that sampling folded to 4 to 123 Hz nine lines were named first, 70 N at 4 Hz among them."""
-    lines = {
-        name: {"bearing1.x": {"frequency": Parameter(f, 0.01, "Hz")}}
-        for name, f in zip(("line", "line_2"), hz, strict=True)
-    }
-    strikes = entry("local_defect", 3735.0)
-    found = ranking.behind_impact_train([entry("line", 8331.0, lines), strikes], 171.6)
-    assert max(found, key=lambda e: e.score).effect == first
-    assert ranking.behind_impact_train([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
-
-
-def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> ranking.Entry:
-    return ranking.Entry(
-        effect,
-        ("bearing1",),
-        score,
-        score,
-        p_value=0.0,
-        before_percent=97.0,
-        after_percent=0.0,
-        parameters={},
-        score=score,
-        settings=settings or {},
-    )

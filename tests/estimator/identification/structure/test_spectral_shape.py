@@ -10,8 +10,6 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
 from estimator.diagnosis.comparison.survey import survey_bearing
-from estimator.diagnosis.hypotheses.screen import rank_on_part
-from estimator.diagnosis.verdict.bearing import quiet
 from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
@@ -111,7 +109,7 @@ def test_a_law_that_bends_the_spectrum_goes_before_a_background() -> None:
         ),
     )
     whole = fit_all_effects(rig, y := simulate(truth, RATE, 5.0, seed=3, noise=0.0), RATE)
-    entries = rank_on_part(whole.model, survey_bearing(whole.model, whole.point, y)[0], quiet).entries
+    entries = survey_bearing(whole.model, whole.point, y)[0].ranking.entries
     assert entries[0].effect == "cross_coupling"
 
 
