@@ -21,7 +21,6 @@ from estimator.likelihood.path.subproblem import (
     Subproblem,
     base_regressors,
     fold_products,
-    fold_slice,
     subproblem,
     with_extra,
 )
@@ -291,15 +290,15 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
     most = sum(z.size for z in ends) + LIMITS.level_regressors + LIMITS.other_direction_regressors + 6 + 2 * len(orders)
-    rows = most * -(-data.blocks // TIME_FOLDS)
+    rows = most * int(data.fold_blocks.max())
     room = np.empty(0, np.float32)  # of all folds: memory that is new takes longer than what is computed in it
     for f in range(TIME_FOLDS):
-        part, first = fold_record(data, f), fold_slice(point, f).start
+        part, blocks = fold_record(data, f), np.flatnonzero(data.fold == f)
         found, count = [], 0
         X = room
         for g in regressor_groups(part, i, orders, ends, times):
             for z in g.series:
-                spectrum = point.whitening.spectrum(i, z, first=first)
+                spectrum = point.whitening.spectrum(i, z, blocks=blocks)
                 if not count:
                     room = room if room.size else np.empty(rows * spectrum.shape[1], np.float32)
                     X = room[: most * spectrum.size].reshape(most, *spectrum.shape)

@@ -207,13 +207,13 @@ def _along(
     tangents along x and v, on the grid of the record. like : parameters that decide on the grid, so that laws whose
     difference is taken have the same one; None: p.
     """
-    o, n, fold_rows = data.other(i), data.x.shape[1], data.fold_rows
+    o, n = data.other(i), data.x.shape[1]
     reads, jumps = _character(effect, p if like is None else like, data.sizes(i), data.rate_hz - data.band[1])
     sharp = tangents is None and jumps
     zero, states = np.zeros(n), product((i, o), (data.denoised_displacement, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
     out, sums = np.empty(n), np.zeros((TIME_FOLDS, 4))
-    for f, a, b in _pieces(fold_rows):
+    for f, a, b in _pieces(data):
         rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1) if sharp else slice(a, b)
         x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
@@ -227,17 +227,17 @@ def _along(
         sums[f] += part
     if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < LIMITS.max_force_n):
         raise LawNotFiniteError(effect.name, data.places[i])
-    sums /= np.maximum(fold_rows, 1)[:, None]
+    sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.denoise_correction is not None:
-        for f, a, b in _pieces(fold_rows):  # by time folds, as the black box: beside a drift theirs differ
+        for f, a, b in _pieces(data):  # by time folds, as the black box: beside a drift theirs differ
             restore_mean_tangent(out[a:b], sums[f], data.denoise_correction[:, a:b], i, -1 if o is None else o)
     return out, sums
 
 
-def _pieces(fold_rows: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
-    """Pieces of a record with so many rows in each time fold: time fold, first row, row after the last."""
-    for f, (rows, end) in enumerate(zip(fold_rows.tolist(), np.cumsum(fold_rows).tolist(), strict=True)):
-        for a in range(end - rows, end, LIMITS.law_rows_per_piece):
+def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
+    """Pieces of the rows of a record: time fold, first row, row after the last."""
+    for f, first, end in data.fold_runs:
+        for a in range(first, end, LIMITS.law_rows_per_piece):
             yield f, a, min(a + LIMITS.law_rows_per_piece, end)
 
 

@@ -21,7 +21,8 @@ from estimator.signals.band_limit import noise_shape
 from .harmonics import PeriodicForce
 from .law_smoothing import HALF_SUPPORT_ROWS, interpolated
 
-TIME_FOLDS = 6  # of every record, for held-out errors and standard deviations
+TIME_FOLDS = 6  # of every record, for held-out errors
+FOLD_PIECES = 4  # of every time fold, spread over the record: what changes along it is seen from every fold
 _OTHER_DIRECTION = {"x": "y", "y": "x"}
 
 
@@ -127,11 +128,19 @@ class MotionRecord:
         return np.bincount(self.fold, minlength=TIME_FOLDS).astype(np.float64)
 
     @property
+    def fold_runs(self) -> list[tuple[int, int, int]]:
+        """Rows that follow one another in a time fold: its number, the first row, the row after the last."""
+        cuts = [0, *(np.flatnonzero(np.diff(self.fold)) + 1).tolist(), self.blocks]
+        rows = [cut * self.x.shape[1] // self.blocks for cut in cuts]
+        return [(int(self.fold[cut]), a, b) for cut, a, b in zip(cuts, rows, rows[1:], strict=False)]
+
+    @property
     def fold_rows(self) -> NDArray[np.int64]:
-        """(folds,) rows of each time fold; its share of the rows if they are not whole blocks any more."""
-        rows = (np.cumsum(self.fold_blocks) * self.x.shape[1] // self.blocks).astype(np.int64)
-        rows[1:] -= rows[:-1].copy()
-        return np.asarray(rows)
+        """(folds,) rows of each time fold."""
+        rows = np.zeros(TIME_FOLDS, np.int64)
+        for f, a, b in self.fold_runs:
+            rows[f] += b - a
+        return rows
 
     def over_folds(self, means: Array) -> Array:
         """Mean over the record from the means over its time folds (folds, ...)."""
@@ -242,26 +251,30 @@ class MotionRecord:
 
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
-    """Record of the first blocks of every time fold, about `seconds` in all; the record itself if it is no longer."""
-    pick = leading_of_folds(data.fold, int(seconds * data.rate_hz / data.block))
-    return data if pick is None else data.at(joined_blocks(pick * data.block, data.block), **data.of_blocks(pick))
+    """Record of the first blocks of every sixth of it, about `seconds` in all; the record itself if it is no longer."""
+    pick = leading_of_sixths(data.blocks, int(seconds * data.rate_hz / data.block))
+    if pick is None:
+        return data
+    of_blocks = data.of_blocks(pick) | {"fold": time_folds(pick.size)}
+    return data.at(joined_blocks(pick * data.block, data.block), **of_blocks)
 
 
 def time_folds(blocks: int) -> NDArray[np.int64]:
-    """(blocks,) number of the time fold of each block."""
-    return np.minimum(np.arange(blocks) * TIME_FOLDS // blocks, TIME_FOLDS - 1)
+    """(blocks,) number of the time fold of each block; the pieces of the folds take turns along the record."""
+    pieces = TIME_FOLDS * max(1, min(FOLD_PIECES, blocks // (2 * TIME_FOLDS)))
+    return np.arange(blocks) * pieces // max(blocks, 1) % TIME_FOLDS
 
 
-def leading_of_folds(fold: NDArray[np.int64], blocks: int, part: int = 0) -> NDArray[np.int64] | None:
-    """Indices of the first blocks of every time fold, about `blocks` in all; None if there are hardly more.
+def leading_of_sixths(total: int, blocks: int, part: int = 0) -> NDArray[np.int64] | None:
+    """Indices of the first blocks of every sixth of `total` blocks, about `blocks` in all; None for hardly more.
 
     part : 1 for the blocks that follow on the first ones, and so on; empty behind the last.
     """
-    per_fold = max(2, blocks // TIME_FOLDS)
-    if fold.size <= 1.25 * per_fold * TIME_FOLDS:
+    per_sixth = max(2, blocks // 6)
+    if total <= 1.25 * per_sixth * 6:
         return None
-    own = slice(part * per_fold, (part + 1) * per_fold)
-    return np.concatenate([np.flatnonzero(fold == f)[own] for f in range(TIME_FOLDS)])
+    own = slice(part * per_sixth, (part + 1) * per_sixth)
+    return np.concatenate([sixth[own] for sixth in np.array_split(np.arange(total), 6)])
 
 
 def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:
@@ -297,10 +310,9 @@ def without_lines(data: MotionRecord) -> MotionRecord:
 
 
 def fold_record(data: MotionRecord, f: int) -> MotionRecord:
-    """Record of one time fold, as views."""
+    """Record of one time fold."""
     here = np.flatnonzero(data.fold == f)
-    rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
-    return data.at(rows, **data.of_blocks(here))
+    return data.at(joined_blocks(here * data.block, data.block), **data.of_blocks(here))
 
 
 def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:

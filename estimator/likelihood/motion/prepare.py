@@ -30,7 +30,7 @@ from .force_balance import motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
 from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
-from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_folds, time_folds, without_lines
+from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_sixths, time_folds, without_lines
 
 RECORD_LONG_CODE = "record_long"  # of the message that a part of a record is used
 # of all places, that are kept in TIME_FOLDS stretches spread over the whole record: one minute of four channels at
@@ -71,7 +71,7 @@ def motion_record(
 ) -> MotionRecord:  # fmt: skip
     """Motion record of y (n, channels of the model), SI, in valid blocks of `block` rows (less for a short record).
 
-    most_samples : of all places; of a longer record the first blocks of every time fold are kept, or those of a later
+    most_samples : of all places; of a longer record the first blocks of every sixth are kept, or those of a later
     part. Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
     y, places = check_shape(model, y), model.places
@@ -81,9 +81,9 @@ def motion_record(
         block //= 2
     filtered = _band_limited(model, y, columns, rate_hz)
     starts = valid_starts(filtered.valid, block)
-    fold = time_folds(starts.size)
-    pick = None if most_samples == np.inf else leading_of_folds(fold, int(most_samples / len(places) / block), part)
-    starts, fold = (starts, fold) if pick is None else (starts[pick], fold[pick])
+    most = None if most_samples == np.inf else int(most_samples / len(places) / block)
+    pick = None if most is None else leading_of_sixths(starts.size, most, part)
+    starts = starts if pick is None else starts[pick]
     if starts.size < 2 * TIME_FOLDS:
         raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
     stretches = joined_blocks(starts, block)
@@ -115,7 +115,8 @@ def motion_record(
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
     record = MotionRecord(
-        places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
+        places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts,
+        fold=time_folds(starts.size),
         v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, out_of_band_sd=np.zeros((P, 2)), rms=rms,
         measured_force_psd=driven, measured=below, slow=below, shared=_shared(model), disc=disc_of(model), rotor=rotor,
         below_band_force=slow,

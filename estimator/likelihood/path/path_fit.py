@@ -106,8 +106,7 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: W
         at = np.array(rows)
         for f in range(TIME_FOLDS):
             here = np.flatnonzero(data.fold == f)
-            span = slice(int(here[0]), int(here[-1]) + 1)
-            Z = np.concatenate([s[:, span].reshape(len(s), -1) for s in stacks])
+            Z = np.concatenate([s[:, here].reshape(len(s), -1) for s in stacks])
             G[i, f][at[:, None], at] = Z @ Z.T
             n[i, f] = here.size * kept[i].sum()
             log_weight[i, f] = here.size * (kept[i] @ np.log(whitening.weight[i]))

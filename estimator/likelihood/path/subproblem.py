@@ -106,7 +106,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     made = {}
     for i in plain.places:
         if (X := extra.spectra.get(i)) is not None:
-            folds = [fold_products(point, i, base, f, X[:, fold_slice(point, f)]) for f in range(TIME_FOLDS)]
+            folds = [fold_products(point, i, base, f, X[:, point.data.fold == f]) for f in range(TIME_FOLDS)]
             made[i] = extra.index[i], folds
     return with_extra(point, plain, made, extra.names, extra.scales, extra.tangents, extra.apart)
 
@@ -144,20 +144,14 @@ def _among(apart: Array, at: NDArray[np.int64]) -> Array:
     return np.asarray(apart[:, :, at[:, None], at])
 
 
-def fold_slice(point: WorkingPoint, f: int) -> slice:
-    """The blocks of a fold."""
-    here = np.flatnonzero(point.data.fold == f)
-    return slice(int(here[0]), int(here[-1]) + 1)
-
-
 def fold_products(point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum) -> FoldProducts:
     """Rows of G of the residual force and the base regressors at place i, and the products with spectra of fold f.
 
     X : (q, blocks, 2 bins). The products are (rows, q) with X and (q, q) of X with itself.
     """
-    own, span = point.whitened, fold_slice(point, f)
+    own, here = point.whitened, point.data.fold == f
     Z = X.reshape(len(X), -1)
-    cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
+    cross = np.concatenate([point.spectra[i][None, here], own.spectra[i][:, here]]).reshape(-1, Z.shape[1])
     rows = np.array([0] + [1 + base.index(int(k)) for k in own.index[i]])
     return rows, (cross @ Z.T).astype(np.float64), (Z @ Z.T).astype(np.float64)
 

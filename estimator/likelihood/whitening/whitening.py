@@ -76,15 +76,17 @@ class Whitening:
         return self.noise.weight
 
     def spectrum(
-        self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0
-    ) -> Spectrum:
+        self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None,
+        blocks: NDArray[np.int64] | None = None,
+    ) -> Spectrum:  # fmt: skip
         """(blocks, 2 bins) whitened spectra of scale times a series (n,) N at place i, in the bins of the band.
 
-        out : array to fill; None: a new one. first : number of the block that the series begins with.
+        out : array to fill; None: a new one. blocks : numbers of the blocks of the series; None: all.
         """
         from scipy.fft import rfft
 
         z, root = series.reshape(-1, self.data.block), self._root[i]
+        level = None if self._level_root is None else self._level_root[i][slice(None) if blocks is None else blocks]
         if out is None:
             out = np.empty((len(z), root.size), np.float32)
         single = z.dtype == np.float32
@@ -95,8 +97,8 @@ class Whitening:
             np.multiply(self._in_band(np.asarray(rfft(part, axis=1))).view(np.float32), root, out=made)
             if self.leakage is not None:
                 self.leakage.take_out(i, made)
-            if self._level_root is not None:
-                made.view(np.complex64)[...] *= self._level_root[i][first + a : first + a + len(made)]
+            if level is not None:
+                made.view(np.complex64)[...] *= level[a : a + len(made)]
         return out
 
     def _in_band(self, Z: NDArray[Any]) -> NDArray[Any]:
