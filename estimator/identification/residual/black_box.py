@@ -310,11 +310,8 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
     made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
-    apart = np.zeros((scales.size, TIME_FOLDS, len(data.places), len(data.places), 2))
-    apart[:, :, i] = np.swapaxes([[t for g in found for t in g.tangents] for found in by_fold], 0, 1)
-    mean = data.over_folds(np.swapaxes(apart, 0, 1))
-    apart = (apart - mean[:, None]) * scales[:, None, None, None, None]
-    columns = np.split(mean[:, i], np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
+    mean = np.average([[t for g in found for t in g.tangents] for found in by_fold], axis=0, weights=data.fold_blocks)
+    columns = np.split(mean, np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
     whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
     around = point.fluctuations[i]
     here = around and around.shorter(LIMITS.second_order_record_s)
@@ -323,7 +320,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
     at = {i: (np.arange(scales.size), made)}
-    return with_known_response(with_extra(point, plain, at, names, scales, tangents, apart)), knots
+    return with_known_response(with_extra(point, plain, at, names, scales, tangents)), knots
 
 
 def with_known_response(problem: Subproblem) -> Subproblem:
@@ -341,10 +338,7 @@ def with_known_response(problem: Subproblem) -> Subproblem:
     known = np.flatnonzero(left < LIMITS.min_own_power_share)
     tangents = gram.tangents.copy()
     tangents[b + known] = np.tensordot(weights[:, known].T, tangents[:b], 1)
-    apart = None if gram.apart is None else gram.apart.copy()
-    if apart is not None:
-        apart[b + known] = np.tensordot(weights[:, known].T, apart[:b], 1)
-    return replace(problem, gram=replace(gram, tangents=tangents, apart=apart))
+    return replace(problem, gram=replace(gram, tangents=tangents))
 
 
 def _group_tangents(

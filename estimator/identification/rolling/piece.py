@@ -140,7 +140,7 @@ def _forces(anchor: Anchor, data: MotionRecord, watched: bool, tangents: Array, 
         for i in use.at if whole else ():
             force, slopes, _ = law_along_record(use, data, i, lin)
             known[i] = known[i] + force
-            mean_tangent[i] += data.over_folds(slopes)
+            mean_tangent[i] += slopes
     for use in anchor.watched if watched else ():
         made += [(t, 0.0) for t in regressors(use, data, lin, True)]
     for t, value in made:

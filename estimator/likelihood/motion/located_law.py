@@ -141,12 +141,12 @@ def law_along_record(
     The tangent is averaged along the path, not under an assumed density: for a jump in v it is the Ito correction of
     this path. lin : (places, 3) m, kL, c. p : parameters in place of the law's own.
 
-    Returns the force (n,) N; its mean tangents (folds, places, 2) to x and v of every place, N/m and N s/m; and
+    Returns the force (n,) N; its mean tangents (places, 2) to x and v of every place, N/m and N s/m; and
     (places, bins) N/m its mean response to the displacement of every place, None unless the law has memory or acts
     through the disc.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
-    slopes = np.zeros((TIME_FOLDS, len(data.places), 2))
+    slopes = np.zeros((len(data.places), 2))
     if placed.effect.kind == "memory":
         linear = linear_memory.linear_response(placed.effect, p, lin[i])
         if linear is not None:
@@ -161,10 +161,10 @@ def law_along_record(
         return f, slopes, across
     amplitudes = np.array([q.linear for q in placed.effect.parameters])
     out, sums = _along(placed.effect, p, data, i, like=np.where(amplitudes, p, placed.p))
-    slopes[:, i] += sums[:, :2]
+    slopes[i] += sums[:2]
     o = data.other(i)
     if o is not None:
-        slopes[:, o] += sums[:, 2:]
+        slopes[o] += sums[2:]
     return out, slopes, None
 
 
@@ -201,7 +201,7 @@ def _character(effect: Effect, p: Array, size: Array, folding_hz: float) -> tupl
 def _along(
     effect: Effect, p: Array, data: MotionRecord, i: int, tangents: Series | None = None, like: Array | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Force (n,) N of a memoryless law along the motion of place i, and its mean tangents (folds, 4) to x, v, xo, vo.
+    """Force (n,) N of a memoryless law along the motion of place i, and its mean tangents (4,) to x, v, xo, vo.
 
     A law that jumps, or whose harmonics alias, is evaluated on a finer grid. tangents : (2, n) to be filled with the
     tangents along x and v, on the grid of the record. like : parameters that decide on the grid, so that laws whose
@@ -227,18 +227,20 @@ def _along(
         sums[f] += part
     if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < LIMITS.max_force_n):
         raise LawNotFiniteError(effect.name, data.places[i])
-    sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.denoise_correction is not None:
+        means, other = sums / np.maximum(n * data.fold_blocks[:, None] / data.blocks, 1.0), -1 if o is None else o
         for f, a, b in _pieces(data):  # by time folds, as the black box: beside a drift theirs differ
-            restore_mean_tangent(out[a:b], sums[f], data.denoise_correction[:, a:b], i, -1 if o is None else o)
-    return out, sums
+            restore_mean_tangent(out[a:b], means[f], data.denoise_correction[:, a:b], i, other)
+    return out, sums.sum(axis=0) / max(n, 1)
 
 
 def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
     """Pieces of the rows of a record: time fold, first row, row after the last."""
-    for f, first, end in data.fold_runs:
+    cuts = [0, *(np.flatnonzero(np.diff(data.fold)) + 1).tolist(), data.blocks]
+    rows = [cut * data.x.shape[1] // data.blocks for cut in cuts]
+    for cut, first, end in zip(cuts, rows, rows[1:], strict=False):
         for a in range(first, end, LIMITS.law_rows_per_piece):
-            yield f, a, min(a + LIMITS.law_rows_per_piece, end)
+            yield int(data.fold[cut]), a, min(a + LIMITS.law_rows_per_piece, end)
 
 
 def tangent_series(placed: LocatedLaw, data: MotionRecord, i: int, p: Array) -> Series:

@@ -128,26 +128,6 @@ class MotionRecord:
         return np.bincount(self.fold, minlength=TIME_FOLDS).astype(np.float64)
 
     @property
-    def fold_runs(self) -> list[tuple[int, int, int]]:
-        """Rows that follow one another in a time fold: its number, the first row, the row after the last."""
-        cuts = [0, *(np.flatnonzero(np.diff(self.fold)) + 1).tolist(), self.blocks]
-        rows = [cut * self.x.shape[1] // self.blocks for cut in cuts]
-        return [(int(self.fold[cut]), a, b) for cut, a, b in zip(cuts, rows, rows[1:], strict=False)]
-
-    @property
-    def fold_rows(self) -> NDArray[np.int64]:
-        """(folds,) rows of each time fold."""
-        rows = np.zeros(TIME_FOLDS, np.int64)
-        for f, a, b in self.fold_runs:
-            rows[f] += b - a
-        return rows
-
-    def over_folds(self, means: Array) -> Array:
-        """Mean over the record from the means over its time folds (folds, ...)."""
-        rows = self.fold_rows
-        return np.asarray(np.tensordot(rows / rows.sum(), means, 1))
-
-    @property
     def stretches(self) -> list[slice]:
         """Rows that follow one another in the record."""
         cuts = np.flatnonzero(np.diff(self.t) * self.rate_hz > 1.5) + 1

@@ -25,7 +25,6 @@ from scipy.linalg import block_diag
 from estimator.arrays import Array, Complexes
 from estimator.errors import DivergedError
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
-from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.likelihood.whitening.determinant import Jacobian
 from estimator.likelihood.whitening.whitening import Spectrum, WhitenedRegressors, Whitening
 from estimator.parallel import map_threads
@@ -38,9 +37,7 @@ class Gram:
     G : (places, folds, 1 + k, 1 + k) N^2/Hz summed over bins; row 0 is the residual force. n : (places, folds) number
     of complex bins. log_weight : (places, folds) sum of log W. tangents : (k, places, places, bins) kg, contribution of
     each regressor to A per scaled unit. scales : (k,) parameter in SI units per scaled unit. names : (k,) of the
-    parameters. apart : (k, folds, places, places, 2) mean tangent of each fold minus that of the record, per scaled
-    unit; None: the tangents of all folds are alike. s : (bins,) rad/s that the tangents are given at; None with `apart`
-    None.
+    parameters.
     """
 
     G: Array
@@ -49,27 +46,14 @@ class Gram:
     tangents: Complexes
     scales: Array
     names: tuple[str, ...]
-    apart: Array | None = None
-    s: Complexes | None = None
-
-    def tangents_in(self, folds: NDArray[np.int64], blocks: Array) -> Complexes:
-        """(k, places, places, bins) kg, contributions to A in some folds. blocks : (folds,) number of each fold.
-
-        The mean tangent of a nonlinear law depends on the level of the motion, so each fold has its own.
-        """
-        if self.apart is None or self.s is None or folds.size == TIME_FOLDS:
-            return self.tangents
-        moved = np.average(self.apart[:, folds], axis=1, weights=blocks[folds])
-        return self.tangents + tangent_response(moved, self.s)
 
     def keep(self, names: list[str] | tuple[str, ...]) -> Gram:
         """The Gram matrices of the named regressors only, in this order."""
         at = [self.names.index(k) for k in names]
         rows = np.array([0] + [1 + k for k in at])
-        apart = None if self.apart is None else self.apart[at]
         return replace(
             self, G=self.G[:, :, rows[:, None], rows], tangents=self.tangents[at], scales=self.scales[at],
-            names=tuple(names), apart=apart,
+            names=tuple(names),
         )  # fmt: skip
 
     def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
@@ -79,9 +63,8 @@ class Gram:
         G = np.einsum("ab,ifbc,dc->ifad", M, self.G, M, optimize=True)
         tangents = np.concatenate([self.tangents[:first], np.tensordot(weights, self.tangents[first:], 1)])
         scales = np.concatenate([self.scales[:first], np.ones(len(names))])
-        apart = None if self.apart is None else np.tensordot(block_diag(np.eye(first), weights), self.apart, 1)
         names = self.names[:first] + names
-        return replace(self, G=G, tangents=tangents, scales=scales, names=names, apart=apart)
+        return replace(self, G=G, tangents=tangents, scales=scales, names=names)
 
 
 def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: WhitenedRegressors) -> Gram:
@@ -117,7 +100,6 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: W
     return Gram(
         G=G, n=n, log_weight=log_weight, tangents=np.concatenate([c.tangents for c in whitened]),
         scales=np.concatenate([c.scales for c in whitened]), names=tuple(k for c in whitened for k in c.names),
-        apart=np.concatenate([c.apart for c in whitened]), s=whitening.s,
     )  # fmt: skip
 
 
@@ -156,7 +138,7 @@ def log_likelihood(
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     Q = np.einsum("a,iab,b->i", b, G, b)
     out = -(Q / S + n * np.log(np.pi * S)).sum() + gram.log_weight[:, folds].sum()
-    return float(out + blocks[folds].sum() * jacobian.value(gram.tangents_in(folds, blocks), delta))
+    return float(out + blocks[folds].sum() * jacobian.value(gram.tangents, delta))
 
 
 def fit_increments(
@@ -177,7 +159,7 @@ def fit_increments(
     """
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     B = blocks[folds].sum()
-    tangents = gram.tangents_in(folds, blocks)
+    tangents = gram.tangents
     k = len(gram.names)
     delta = np.zeros(k) if start is None else start.copy()
     penalty = np.zeros(k) if ridge is None else ridge
@@ -229,7 +211,7 @@ def slope_and_curvature(
     b = np.concatenate([[1.0], delta])
     GB = np.einsum("iab,b->ia", G, b)
     S = (GB @ b) / n
-    j1, j2 = jacobian.derivatives(gram.tangents_in(folds, blocks), delta)
+    j1, j2 = jacobian.derivatives(gram.tangents, delta)
     slope = 2 * GB[:, 1:] / S[:, None]
     at_fixed_S = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2
     return B * j1 - slope.sum(axis=0), at_fixed_S, at_fixed_S - slope.T @ (slope / n[:, None])

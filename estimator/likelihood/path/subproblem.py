@@ -95,7 +95,6 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
         G=np.ascontiguousarray(point.gram.G[at][:, :, rows[:, None], rows]), n=point.gram.n[at],
         log_weight=point.gram.log_weight[at], tangents=point.jacobian.tangents(own.tangents[base], at),
         scales=own.scales[base], names=names,
-        apart=_among(own.apart[base], at), s=point.whitening.s,
     )  # fmt: skip
     plain = Subproblem(
         places=tuple(at.tolist()), gram=gram, jacobian=point.jacobian.of_places(at), blocks=point.data.fold_blocks,
@@ -108,17 +107,17 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
         if (X := extra.spectra.get(i)) is not None:
             folds = [fold_products(point, i, base, f, X[:, point.data.fold == f]) for f in range(TIME_FOLDS)]
             made[i] = extra.index[i], folds
-    return with_extra(point, plain, made, extra.names, extra.scales, extra.tangents, extra.apart)
+    return with_extra(point, plain, made, extra.names, extra.scales, extra.tangents)
 
 
 def with_extra(
     point: WorkingPoint, plain: Subproblem, made: Mapping[int, tuple[NDArray[np.int64], Sequence[FoldProducts]]],
-    names: tuple[str, ...], scales: Array, tangents: Complexes, apart: Array,
+    names: tuple[str, ...], scales: Array, tangents: Complexes,
 ) -> Subproblem:  # fmt: skip
     """A problem without trial regressors, extended by some.
 
     made : by place, which of them act there, and their products, fold by fold. tangents : (extra, all places, all
-    places, bins), apart : (extra, folds, all places, all places, 2), scaled.
+    places, bins), scaled.
     """
     old, first = plain.gram, 1 + len(plain.base)
     size, at = first + len(names), np.array(plain.places)
@@ -134,14 +133,8 @@ def with_extra(
         G=G, n=old.n, log_weight=old.log_weight,
         tangents=np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
         scales=np.concatenate([old.scales, scales]), names=old.names + names,
-        apart=np.concatenate([old.apart, _among(apart, at)]), s=old.s,
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)
-
-
-def _among(apart: Array, at: NDArray[np.int64]) -> Array:
-    """Mean tangents (k, folds, all places, all places, 2) between some places only."""
-    return np.asarray(apart[:, :, at[:, None], at])
 
 
 def fold_products(point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum) -> FoldProducts:

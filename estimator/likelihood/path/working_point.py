@@ -151,7 +151,7 @@ def _forces(
                 continue
             f, slope, memory = law_along_record(use, data, i, lin)
             F[i] += f  # add_to would be compiled once more, for float64, in the midst of a live session
-            D[i] += data.over_folds(slope)
+            D[i] += slope
             if memory is not None:
                 M[:, i] += memory.T
 

@@ -133,7 +133,7 @@ def _pushed(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array)
     def force(use: LocatedLaw, i: int) -> tuple[Array, Array]:
         if use.effect.kind == "force":
             f, slopes, _ = law_along_record(use, data, i, lin)
-            return f, data.over_folds(slopes)[:, 0]
+            return f, slopes[:, 0]
         return memory_array(use.effect, use.p, lin[i], data.displacement(i), data.v[i], data.rate_hz), np.zeros(
             len(own)
         )

@@ -19,7 +19,7 @@ from estimator.likelihood.motion.located_law import (
     own_response,
     tangent_series,
 )
-from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
 
@@ -66,30 +66,28 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
         q = placed.effect.parameters[k]
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
-        slopes = np.zeros((TIME_FOLDS, len(data.places), len(data.places), 2))
+        slopes = np.zeros((len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
             made = [
                 at(shaft_law.first_of_direction(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends
             ]
             series[i] = _summed(f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True))
-            slopes[:, i] = _summed(w * s for (_, w), (_, s, _) in zip(ends, made, strict=True))
+            slopes[i] = _summed(w * s for (_, w), (_, s, _) in zip(ends, made, strict=True))
             if responding:
                 memory[i] = _summed(w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None)
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
         if rms == 0.0:
             continue  # of a law that is still zero, or that the motion does not reach
-        mean = data.over_folds(slopes)
         out.append(
             in_single_precision(
                 Regressor(
                     name=placed.name(k),
                     unit=q.unit,
                     series=series,
-                    tangent=mean,
+                    tangent=slopes,
                     scale=1.0 / rms,
                     memory=memory,
-                    apart=slopes - mean,
                 )  # fmt: skip
             )
         )
@@ -188,8 +186,8 @@ class Span:
     """Span of the base regressors at one place, each scaled to rms 1.
 
     base : the k regressors. part : (k, n / projection_stride) every so manyth sample. gram : (k, k) of part.
-    slopes : (k, places, 2) mean tangents. apart : (k, folds, places, 2) those of time folds less the mean.
-    memory : (k, places, bins) mean responses, see Regressor; None if all are zero.
+    slopes : (k, places, 2) mean tangents. memory : (k, places, bins) mean responses, see Regressor; None if all are
+    zero.
     """
 
     base: tuple[Regressor, ...]
@@ -197,7 +195,6 @@ class Span:
     gram: Array
     slopes: Array
     _: KW_ONLY
-    apart: Array
     memory: Complexes | None
 
 
@@ -216,9 +213,7 @@ def span_at(base: Sequence[Regressor], i: int) -> Span:
     more = next((b.memory[i] for b in own if i in b.memory), None)
     memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
     slopes = np.stack([b.tangent[i] * b.scale for b in own])
-    still = np.zeros((TIME_FOLDS, *slopes.shape[1:]))
-    apart = np.stack([still if b.apart is None else b.apart[:, i] * b.scale for b in own])
-    return Span(base=own, part=part, gram=wide @ wide.T, slopes=slopes, apart=apart, memory=memory)
+    return Span(base=own, part=part, gram=wide @ wide.T, slopes=slopes, memory=memory)
 
 
 class Spans:
@@ -240,7 +235,6 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
     precision. None if less than `least` of the rms is left.
     """
     series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
-    apart = None if term.apart is None else term.apart.copy()
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
@@ -249,8 +243,6 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
         for weight, b in zip(weights, base.base, strict=True):
             add_to(rest, -weight * b.scale, b.series[i])
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
-        if apart is not None:
-            apart[:, i] -= np.tensordot(weights, base.apart, 1)
         if base.memory is not None:
             memory[i] = np.asarray(memory.get(i, 0.0) - np.tensordot(weights, base.memory, 1), np.complex128)
         series[i] = rest
@@ -265,7 +257,6 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
         tangent=slopes,
         memory=memory,
         scale=1.0 / float(np.sqrt(after / len(series) / n)),
-        apart=apart,
     )
 
 
@@ -313,7 +304,6 @@ class Regressor:
     scale : the parameter is multiplied by 1 / scale in the computation, so that the rms of its force is 1.
     memory : by place index, (places, bins) N/m per unit, further mean response of the force to the displacement of
     every place: of a law with memory or through the disc, and the second-order correction.
-    apart : (folds, places, places, 2) tangent of each time fold less `tangent`; None if they are equal.
     shape : (bins,) factor of the spectra of the series; None is 1.
     mass_at : index of the place whose mass the parameter is; None for any other parameter.
     """
@@ -325,7 +315,6 @@ class Regressor:
     _: KW_ONLY
     scale: float = 1.0
     memory: dict[int, Complexes] = field(default_factory=dict)
-    apart: Array | None = None
     shape: Complexes | None = None
     mass_at: int | None = None
 

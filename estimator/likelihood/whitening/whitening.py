@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.response.regressor_set import Regressor, regressor_response
 from estimator.likelihood.thresholds import LIMITS
 from estimator.parallel import map_threads
@@ -27,8 +27,7 @@ class WhitenedRegressors:
 
     names : (k,) of the parameters. scales : (k,) parameter in SI units per scaled unit. tangents : (k, places,
     places, bins) kg, contribution to A per scaled unit. spectra : by place, (regressors there, blocks, 2 bins), real
-    and imaginary parts in turn. index : by place, number of the regressor of each row of `spectra`. apart : (k, folds,
-    places, places, 2) mean tangent of each fold minus that of the record, per scaled unit.
+    and imaginary parts in turn. index : by place, number of the regressor of each row of `spectra`.
     """
 
     names: tuple[str, ...]
@@ -36,7 +35,6 @@ class WhitenedRegressors:
     tangents: Complexes
     spectra: dict[int, Spectrum]
     index: dict[int, NDArray[np.int64]]
-    apart: Array
 
 
 @dataclass(kw_only=True)
@@ -147,7 +145,4 @@ class Whitening:
             tangents=tangents,
             spectra=spectra,
             index={i: np.array(k) for i, k in index.items()},
-            apart=np.array(
-                [np.zeros((TIME_FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in regressors]
-            ),
         )
