@@ -22,6 +22,7 @@ class Thresholds:
     amplitude_max_p_value: float = 1e-3  # of the loss that chance makes on the largest amplitudes
     amplitude_margin_nats: float = 3.0  # added to the loss that chance makes
     min_tone_percent: float = 2.0  # of the bearing force, of a tone beside those of shaft and mains: a weak effect
+    min_hidden_law_percent: float = 1.0  # of the bearing force, that no regressor shows: errors of modes made 0.6 %
     min_gain_nats: float = 5.0  # held out, fitted with the model: ln of the number of laws that a search tries
     max_left_rel: float = 0.2  # of what a candidate was to explain (rms of a force, power of a spectrum)
     max_left_of_likelier_rel: float = 0.5  # the same where no law that leaves less predicts as well

@@ -119,6 +119,9 @@ def _shape_findings(
             continue
         q = len(shape.effect.parameters)
         values = shape.values(z[4:])
+        peaks = shape.effect is SENSOR_RESONANCE and values[1] >= LIMITS.min_peak_quality
+        if peaks and values[0] < LIMITS.min_mounting_resonance_hz:
+            continue
         spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
         settings = {
             own.name: replace(Parameter.from_estimate(float(v), float(s), own.unit), value=float(v), sd=float(s))

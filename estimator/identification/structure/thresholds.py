@@ -115,6 +115,7 @@ class Thresholds:
     negative_margin_sd: float = 3.0  # below zero, of a stiffness or damping that no bearing has
     min_noise_ratio_to_others: float = 6.0  # power of a faulty sensor's noise over that of its neighbours
     min_peak_quality: float = 1.0  # of a sensor resonance above the band: below it a low-pass filter looks alike
+    min_mounting_resonance_hz: float = 500.0  # of a hand-held probe, the loosest mounting (ISO 5348)
     min_unknown_depth_rms: float = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
 
     # survey
