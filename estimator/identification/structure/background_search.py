@@ -57,7 +57,8 @@ def find_background(model: Model, point: WorkingPoint) -> Background | None:
 def one_cause_is_enough(model: Model, point: WorkingPoint, found: Background, gain_nats: float) -> bool:
     """Whether no location has a spectral shape, or one cause of the catalogue explains all as well as a background.
 
-    One pedestal is no cause of several modes at a place, nor of a mode and a shaped force. gain_nats : of the background.
+    One pedestal is no cause of several modes at a place, nor of a mode and a shaped force. gain_nats : of the
+    background.
     """
     several = any(len(own.modes) + bool(np.ptp(own.psd_rel)) > 1 for own in found.at.values())
     cause_nats = nats_of_one_cause(model, point, several_modes=several)

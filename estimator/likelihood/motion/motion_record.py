@@ -232,7 +232,7 @@ class MotionRecord:
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
     """Record of the first blocks of every sixth of it, about `seconds` in all; the record itself if it is no longer."""
-    pick = leading_of_sixths(data.blocks, int(seconds * data.rate_hz / data.block))
+    pick = leading_of_sixths(data.blocks, seconds * data.rate_hz / data.block)
     if pick is None:
         return data
     of_blocks = data.of_blocks(pick) | {"fold": time_folds(pick.size)}
@@ -245,14 +245,14 @@ def time_folds(blocks: int) -> NDArray[np.int64]:
     return np.arange(blocks) * pieces // max(blocks, 1) % TIME_FOLDS
 
 
-def leading_of_sixths(total: int, blocks: int, part: int = 0) -> NDArray[np.int64] | None:
+def leading_of_sixths(total: int, blocks: float, part: int = 0) -> NDArray[np.int64] | None:
     """Indices of the first blocks of every sixth of `total` blocks, about `blocks` in all; None for hardly more.
 
     part : 1 for the blocks that follow on the first ones, and so on; empty behind the last.
     """
-    per_sixth = max(2, blocks // 6)
-    if total <= 1.25 * per_sixth * 6:
+    if total <= 1.25 * max(12.0, blocks):
         return None
+    per_sixth = max(2, int(blocks) // 6)
     own = slice(part * per_sixth, (part + 1) * per_sixth)
     return np.concatenate([sixth[own] for sixth in np.array_split(np.arange(total), 6)])
 

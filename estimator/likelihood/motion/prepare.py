@@ -81,8 +81,7 @@ def motion_record(
         block //= 2
     filtered = _band_limited(model, y, columns, rate_hz)
     starts = valid_starts(filtered.valid, block)
-    most = None if most_samples == np.inf else int(most_samples / len(places) / block)
-    pick = None if most is None else leading_of_sixths(starts.size, most, part)
+    pick = leading_of_sixths(starts.size, most_samples / len(places) / block, part)
     starts = starts if pick is None else starts[pick]
     if starts.size < 2 * TIME_FOLDS:
         raise DataError(_too_short(y[:, columns], model.band[0], rate_hz, block, filtered.half))
