@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from typing import NoReturn
 
 from daq.base.console.stop import interrupt
@@ -28,6 +29,8 @@ def main() -> NoReturn:
     if sys.argv[1:2] == ["run"] and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _stopped)  # until the session has a handler of its own
     gc.set_threshold(GARBAGE_OBJECTS)
+    # a fit that leaves the rotor overflows before it says so in one line
+    warnings.filterwarnings("ignore", ".* encountered in ", RuntimeWarning, "estimator")
     from . import cache_place
 
     cache_place.choose()

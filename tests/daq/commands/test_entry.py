@@ -40,6 +40,17 @@ def test_an_interrupt_while_what_clears_away_is_imported_itself() -> None:
     assert (done.returncode, done.stderr) == (130, b"rotorscope: interrupted\n")
 
 
+def test_a_fit_that_overflows_prints_no_warning_of_numpy() -> None:
+    """Of two records in forty an answer came with lines such as "overflow encountered in matmul"."""
+    late = "warnings.warn_explicit('overflow encountered in add', RuntimeWarning, 'x.py', 1, 'estimator.likelihood.x')"
+    code = (
+        "import sys, warnings; from daq.commands import entry; sys.argv = ['rotorscope', '--version']\n"
+        f"entry._end = lambda status: {late}\nentry.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert done.stderr == b""
+
+
 @pytest.mark.parametrize("after_s", [0.005, 0.02, 0.05, 0.1, 0.2, 0.3])
 def test_an_interrupt_while_python_imports_ends_quietly(
     after_s: float, tmp_path: Path, record_property: Callable[[str, object], None]
