@@ -115,9 +115,9 @@ def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -
     0 if the law has the right shape. States that it does not touch belong to something else that is missing too. Where
     no state shows a missing force, or more force is missing with the law, it leaves all.
     """
-    if not (before.any_found() or after.any_found()):  # only the law itself shows what is missing
-        return 0.0, 0.0
     was, rest = _power_by_state(before, entry), _power_by_state(after, entry)
+    if not (was or rest or before.any_found()):  # only the law itself shows what is missing
+        return 0.0, 0.0
     sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in after.residuals if r.place in entry.places)))
     if not was or sum(rest.values()) - THRESHOLDS.normal_95 * sd > sum(was.values()):
         return 1.0, 1.0

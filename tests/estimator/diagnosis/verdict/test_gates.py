@@ -182,20 +182,24 @@ def test_no_effect_is_named_beside_an_adequate_model(context: Context) -> None:
 
 
 def test_a_law_is_missing_beside_modes_where_only_the_law_itself_shows_it() -> None:
-    """Friction of 2 % of the bearing force and 246 held-out nats was below what modes hide: "complete"."""
+    """Friction of 2 % of the bearing force and 246 held-out nats was below what modes hide: "complete". Errors of the
+    modes made a hysteresis of 0.6 %: below 1 % the law is not named."""
     hidden = EffectUse("bouc_wen", {"bearing1.x": {"k": Setting(4e5), "slip": Setting(1.9e-7)}})
-    for effects, named in (((hidden,), "bouc_wen"), ((), None)):
+    for effects, law in (((hidden,), "bouc_wen"), ((), None)):
         model = rig()
         y = simulate(replace(model, effects=effects), RATE, 12.0, seed=3, noise=0.02)
         fitted = fit_all_effects(model, y, RATE)
         point = replace(fitted.point, data=beside_modes(fitted.point.data))
         (survey,) = survey_bearing(model, point, y)
         assert not survey.missing.any_found()
-        assert (None if survey.law is None else survey.law.effect) == named
-        assert survey.explained is (named is None)
-        assert (survey.interval[0] > 0.5) is (named is not None)
-        if named is not None:
-            assert bearing.judge_bearing(model, point, y, survey=survey).verdict == named
+        assert (None if survey.law is None else survey.law.effect) == law
+        assert survey.explained is (law is None)
+        assert (survey.interval[0] > 0.5) is (law is not None)
+        if law is not None:
+            found = bearing.judge_bearing(model, point, y, survey=survey)
+            assert found.verdict == "unknown"
+            assert law in found.messages[0].text
+            assert "limit 1" in str(found.ranking[0].gates[-1])
 
 
 @pytest.mark.parametrize(
