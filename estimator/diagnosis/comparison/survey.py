@@ -12,22 +12,34 @@ import numpy as np
 from estimator.arrays import Array, return_freed_memory
 from estimator.diagnosis.hypotheses.ranking import Entry, is_sure_law
 from estimator.diagnosis.hypotheses.screen import Progress, Ranking, rank_on_part
+from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.errors import NotFiniteError
 from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.residual.strong_law import strong_law_message
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
 
+from .heldout import heldout_nll
 from .thresholds import LIMITS
 
 
 def quiet(fraction: float, text: str) -> None:
     """No progress shown."""
+
+
+def has_impossible_amplitude(entry: Entry, after: WorkingPoint) -> bool:
+    """Whether a law is fitted with an amplitude beyond its limits, such as a damping that drives the rotor."""
+    known = fitted_parameters(after)
+    names = {law.name(k): q for law in entry.placed for k, q in enumerate(law.effect.parameters) if q.linear}
+    values = ((known[name].value, q) for name, q in names.items() if name in known)
+    return any(value is not None and not q.low <= value <= q.high for value, q in values)
 
 
 def law_text(law: Entry) -> str:
@@ -75,7 +87,20 @@ class BearingSurvey:
         """
         if self.part.data.background is None or not self._explained_by_states:
             return None
-        return next((e for e in self.ranking.entries if is_sure_law(e)), None)
+        sure = [e for e in self.ranking.entries if is_sure_law(e)]
+        return next((e for e in sure[: LIMITS.max_fitted_laws] if self._holds_when_fitted(e)), None)
+
+    def _holds_when_fitted(self, law: Entry) -> bool:
+        """Whether a law predicts as surely, with a possible amplitude, where all else is fitted together with it."""
+        part = self.part
+        try:
+            after = fit_model(part.data, [*part.placed, *law.placed], start=part)
+        except NotFiniteError:
+            return False
+        if has_impossible_amplitude(law, after) or not after.data.is_judged_like(part.data):
+            return False
+        gain_nats = (heldout_nll(part) - heldout_nll(after)) * part.data.blocks * part.data.block
+        return gain_nats >= THRESHOLDS.rival_nats
 
     @property
     def interval(self) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll
-from estimator.diagnosis.comparison.survey import BearingSurvey
+from estimator.diagnosis.comparison.survey import BearingSurvey, has_impossible_amplitude
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -99,14 +99,6 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     entry = replace(entry, after_percent=left.interval(tuple(sorted(entry.places)))[0], parameters=values)
     left_rel, least = left_of_own_state(survey.missing, left, entry)
     return JointFit(entry=entry, left_rel=left_rel, least_left_rel=least, gain_nats=gain)
-
-
-def has_impossible_amplitude(entry: Entry, after: WorkingPoint) -> bool:
-    """Whether a law is fitted with an amplitude beyond its limits, such as a damping that drives the rotor."""
-    known = fitted_parameters(after)
-    names = {law.name(k): q for law in entry.placed for k, q in enumerate(law.effect.parameters) if q.linear}
-    values = ((known[name].value, q) for name, q in names.items() if name in known)
-    return any(value is not None and not q.low <= value <= q.high for value, q in values)
 
 
 def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> tuple[float, float]:

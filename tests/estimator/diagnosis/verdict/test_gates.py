@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator.diagnosis.comparison.survey import survey_bearing
+from estimator.diagnosis.comparison.survey import has_impossible_amplitude, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, in_order, separation_text
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.diagnosis.verdict import bearing
@@ -25,7 +25,7 @@ from estimator.diagnosis.verdict.gates import (
     significant,
     told_from_zero,
 )
-from estimator.diagnosis.verdict.joint_fit import JointFit, has_impossible_amplitude, left_of_own_state
+from estimator.diagnosis.verdict.joint_fit import JointFit, left_of_own_state
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual.missing_force import MissingForce
