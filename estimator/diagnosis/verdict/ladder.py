@@ -118,7 +118,7 @@ class Ladder:
             return "does not improve the held-out likelihood"
         gain_nats = (last.heldout_nll - now.heldout_nll) * point.data.blocks * point.data.block
         idle = now.missing[0] >= last.missing[0] and not gain_nats > THRESHOLDS.min_gain_nats
-        if best.effect in PERIODIC_EFFECTS and idle and not self.whole.model.record_lines:  # else they never count
+        if best.effect in PERIODIC_EFFECTS and idle:
             return "does not reduce the missing force"
         self.whole, self._shift, self.survey = new, shift, survey
         self.rungs.append(now)
