@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from estimator.arrays import Array
+from estimator.diagnosis.hypotheses.screen import Progress, quiet
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.judgeable import judging_layers, on_judgeable_record
 from estimator.identification.record import UsableRecord
@@ -21,8 +22,6 @@ from .failure_map import FailureRegion, failure_regions
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .survey import law_text, survey_bearing
 from .twin import Twin, twin
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +103,7 @@ def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     >>> compare(rig, simulate(rig, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).adequate
     True
     """
-    say = progress or (lambda fraction, text: None)
+    say = progress or quiet
     say(0.0, "fit")
     layers = judging_layers(model, y, rate_hz)
     return on_judgeable_record(model, y, layers, lambda usable: _of_usable(usable, rate_hz, say))

@@ -55,6 +55,11 @@ def _known(model: Model) -> Model:
     return replace(model, effects=tuple(u for u in uses if u.parameters))
 
 
+def heldout_gain_nats(before: WorkingPoint, after: WorkingPoint) -> float:
+    """Held-out nats that a fit gains over another one, both judged on the same bins of the same record."""
+    return (heldout_nll(before) - heldout_nll(after)) * after.data.blocks * after.data.block
+
+
 def heldout_nll(point: WorkingPoint) -> float:
     """Nats per sample: every time fold judged by the parameters of the others. Lower is better.
 

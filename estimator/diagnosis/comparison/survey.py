@@ -11,7 +11,7 @@ import numpy as np
 
 from estimator.arrays import Array, return_freed_memory
 from estimator.diagnosis.hypotheses.ranking import Entry, is_sure_law
-from estimator.diagnosis.hypotheses.screen import Progress, Ranking, rank_on_part
+from estimator.diagnosis.hypotheses.screen import Progress, Ranking, quiet, rank_on_part
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
 from estimator.identification.finding import Finding
@@ -26,12 +26,8 @@ from estimator.likelihood.thresholds import LIMITS as LIKELIHOOD_LIMITS
 from estimator.model.rig import Model
 from estimator.results import NOT_CONCLUSIVE, Message
 
-from .heldout import heldout_nll
+from .heldout import heldout_gain_nats
 from .thresholds import LIMITS
-
-
-def quiet(fraction: float, text: str) -> None:
-    """No progress shown."""
 
 
 def has_impossible_amplitude(entry: Entry, after: WorkingPoint) -> bool:
@@ -99,8 +95,7 @@ class BearingSurvey:
             return False
         if has_impossible_amplitude(law, after) or not after.data.is_judged_like(part.data):
             return False
-        gain_nats = (heldout_nll(part) - heldout_nll(after)) * part.data.blocks * part.data.block
-        return gain_nats >= THRESHOLDS.rival_nats
+        return heldout_gain_nats(part, after) >= THRESHOLDS.rival_nats
 
     @property
     def interval(self) -> tuple[float, float, float]:

@@ -32,6 +32,10 @@ from .trial import (
 Progress = Callable[[float, str], None]
 
 
+def quiet(fraction: float, text: str) -> None:
+    """No progress shown."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ranking:
     """A ranking of causes.

@@ -10,9 +10,9 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.curves import Shape, missing_force_curve
-from estimator.diagnosis.comparison.survey import BearingSurvey, law_text, quiet, survey_bearing
+from estimator.diagnosis.comparison.survey import BearingSurvey, law_text, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, separation_text
-from estimator.diagnosis.hypotheses.screen import Progress, rank_on_record
+from estimator.diagnosis.hypotheses.screen import Progress, quiet, rank_on_record
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE, LINE_NAMES
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.survey import quiet
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.diagnosis.hypotheses.screen import Progress, quiet
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.excitation.line import LINE

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.survey import BearingSurvey, quiet
+from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.diagnosis.hypotheses.screen import Progress, quiet
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import LINE_NAMES, found_by
 from estimator.identification.batch.full_fit import fit_all_effects

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.heldout import heldout_nll
+from estimator.diagnosis.comparison.heldout import heldout_gain_nats
 from estimator.diagnosis.comparison.survey import BearingSurvey, has_impossible_amplitude
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
@@ -91,8 +91,7 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     before = part
     if not after.data.is_judged_like(part.data):  # beside a law of the shaft bins are left out
         before = fit_model(after.data, list(part.placed), start=part)
-    samples = after.data.blocks * after.data.block
-    gain = (heldout_nll(before) - heldout_nll(after)) * samples
+    gain = heldout_gain_nats(before, after)
     left = missing_force.survey(after, model, only=survey.missing.places_found())
     known = fitted_parameters(after)
     values = {name: known.get(name, p) for name, p in entry.parameters.items()}
@@ -151,8 +150,7 @@ def at_identifiable_bearings(
         return entry, after
     fewer = ranking.without_nodes(entry, idle)
     less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=THRESHOLDS.law_fit_rounds)
-    samples = point.data.blocks * point.data.block
-    if heldout_nll(less) > heldout_nll(after) + THRESHOLDS.min_gain_nats / samples:
+    if heldout_gain_nats(less, after) > THRESHOLDS.min_gain_nats:
         return entry, after
     return fewer, less
 

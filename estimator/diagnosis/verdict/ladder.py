@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
+from estimator.diagnosis.comparison.heldout import heldout_gain_nats, heldout_nll, heldout_rmse
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, Settings, ranked_entries
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -87,9 +87,7 @@ class Ladder:
         except DataError:
             return
         comparable = modes.point.data.is_judged_like(one.point.data)
-        data = modes.point.data
-        gain_nats = (heldout_nll(one.point) - heldout_nll(modes.point)) * data.blocks * data.block
-        if not comparable or gain_nats < STRUCTURE_LIMITS.min_gain_nats:
+        if not comparable or heldout_gain_nats(one.point, modes.point) < STRUCTURE_LIMITS.min_gain_nats:
             return
         self.whole, self._background = modes, modes.model.background
         self.rungs[-1], self.survey = surveyed_rung(modes.model, modes.point, self._y)
@@ -134,8 +132,7 @@ class Ladder:
             if len(fewer) == len(point.placed) or point.data.disc is not None and self._shift:
                 continue
             less = fit_model(point.data, fewer, start=point)
-            lost = (heldout_nll(less) - heldout_nll(point)) * point.data.blocks * point.data.block
-            if lost > THRESHOLDS.min_gain_nats:
+            if heldout_gain_nats(less, point) > THRESHOLDS.min_gain_nats:
                 continue
             model = replace(
                 self.whole.model, effects=tuple(use for use in self.whole.model.effects if use.name != name)

@@ -78,7 +78,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     return out + _find_shared_force(model, point)
 
 
-def nats_of_one_cause(model: Model, point: WorkingPoint, several_modes: bool = False) -> float | None:
+def nats_of_one_cause(model: Model, point: WorkingPoint, *, several_modes: bool) -> float | None:
     """Nats that one cause of the catalogue gains if it explains the spectral shapes of all locations; 0 if none does.
 
     None where no location has a spectral shape. several_modes : whether a cause that adds one mode is none.
