@@ -39,8 +39,9 @@ def has_impossible_amplitude(entry: Entry, after: WorkingPoint) -> bool:
 
 
 def law_text(law: Entry) -> str:
-    """What a law predicts that no regressor on the states does, for a message."""
-    return f"{law.effect} at {', '.join(law.at)} predicts {law.heldout_gain:.0f} held-out nats of the residual force"
+    """How much better a law predicts the residual force, for a message."""
+    where = ", ".join(law.at)
+    return f"{law.effect} at {where} predicts the residual force better, by {law.heldout_gain:.0f} held-out nats"
 
 
 @dataclass(frozen=True, kw_only=True)

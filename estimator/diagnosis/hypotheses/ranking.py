@@ -166,7 +166,7 @@ def ranked_entries(
 
 
 def is_sure_law(entry: Entry) -> bool:
-    """Whether a law is significant and predicts held-out data by more than two candidates may be apart."""
+    """Whether a law is significant and gains as many held-out nats as tell two candidates apart."""
     sure = entry.p_value <= THRESHOLDS.max_p_value and entry.heldout_gain >= THRESHOLDS.rival_nats
     return bool(entry.placed) and sure
 
