@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from estimator.arrays import Array, return_freed_memory
 from estimator.diagnosis.hypotheses.ranking import Entry, is_sure_law
 from estimator.diagnosis.hypotheses.screen import Progress, Ranking, quiet, rank_on_part
@@ -103,8 +101,7 @@ class BearingSurvey:
         """Rms of the missing force and its 95 % limits, per cent of the rms bearing force."""
         if self.law is None:
             return self.missing.interval()
-        value, sd_rel = self.law.explained_percent, 1.0 / np.sqrt(2.0 * self.law.gain)
-        return value, value * (1.0 - 1.96 * sd_rel), value * (1.0 + 1.96 * sd_rel)
+        return self.law.explained_percent, *self.law.explained_limits_percent
 
     @property
     def explained(self) -> bool:

@@ -116,6 +116,12 @@ class Entry:
         return float(np.sqrt(max(self.before_percent**2 - self.after_percent**2, 0.0)))
 
     @property
+    def explained_limits_percent(self) -> tuple[float, float]:
+        """95 % limits of the rms of the effect's own force, per cent of the bearing force, by its gain in nats."""
+        sd = self.explained_percent / np.sqrt(2.0 * max(self.gain, 1e-6))
+        return float(self.explained_percent - 1.96 * sd), float(self.explained_percent + 1.96 * sd)
+
+    @property
     def law(self) -> Effect | None:
         """The effect of its force law; None of an effect that is no force law."""
         return self.placed[0].effect if self.placed else None

@@ -24,7 +24,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
-from estimator.results import RIG_FILE, Message, messages_json
+from estimator.results import NOT_CONCLUSIVE, RIG_FILE, Message, messages_json
 
 from .gates import Context, judged
 from .joint_fit import left_of_own_state, left_of_states
@@ -186,7 +186,8 @@ def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) 
     """The judgement where no missing force is found: complete if none could hide, but for a periodic force that passes.
 
     Structural modes show that a record holds its surroundings, and every shaft has some 1X and 2X: beside modes, of the
-    bearing or of a place that is not judged for them, these are named by their severity alone.
+    bearing or of a place that is not judged for them, these are named by their severity alone. Where the speed is
+    unknown a line may be one of these.
     """
     surrounded = context.model.background is not None or context.model.unexplained_places
     refused = refused | SHAFT_HARMONICS if surrounded else refused
@@ -194,8 +195,12 @@ def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) 
     named = [e for e in tones if e.passed]
     rest = [e for e in entries if not any(e.effect == tone.effect for tone in named)]
     if named:
-        ranking = (*named, *rest)
-        return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=named[0].notes)
+        ranking, notes = (*named, *rest), named[0].notes
+        if surrounded and named[0].effect in LINE_NAMES and not context.point.data.speed:
+            text = f"a line at {named[0].notes[0].text} is all that is found, and every shaft has such lines"
+            said = Message(NOT_CONCLUSIVE, f"{text}: give speed_rpm or a tacho channel")
+            return BearingJudgement("unknown", ranking, messages=(said, *notes[1:]))
+        return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=notes)
     forces = [_measured_force_message(context.point)] if context.point.data.measured_force else []
     if (doubt := context.survey.inconclusive) is not None:
         return BearingJudgement("unknown", tuple(rest), messages=(doubt, *forces))
@@ -224,9 +229,10 @@ def _more_missing(named: Entry) -> Sequence[Message]:
     """The remark on a named law that leaves more than a fifth; none of another candidate."""
     if named.passed:
         return ()
-    return (
-        Message("leaves_more", f"{named.effect} predicts best, but leaves {left_text(named)} of the missing force"),
-    )
+    finer = " or ".join(e.name for e in CATALOGUE.values() if e.refines == named.effect)
+    more = f"; {finer} refines it, which `improve` tries" if finer else ""
+    text = f"{named.effect} predicts best, but leaves {left_text(named)} of the missing force{more}"
+    return (Message("leaves_more", text),)
 
 
 def _law_beside(

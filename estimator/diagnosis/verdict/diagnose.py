@@ -27,6 +27,7 @@ from estimator.results import NOT_JUDGED, RIG_FILE, Message
 from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake
 from .clipped import with_clipped_channels
 from .signal_findings import (
+    RING_TONES,
     have_one_order,
     line_entries,
     rig_file_entry,
@@ -151,8 +152,9 @@ def bearing_layer(model: Model, y: Array, rate_hz: float, layers: Layers, say: P
 def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, rate_hz: float) -> Diagnosis:
     """The verdict of all layers.
 
-    A bearing defect goes before a law of the motion: impacts make laws look right. It goes before a law of the shaft's
-    angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of a
+    A bearing defect goes before a law of the motion: impacts make laws look right. Tones alone at the order of a defect
+    do not: a law stands beside them. A defect goes before a law of the shaft's angle unless that modulates the
+    vibration at the order of the strikes with the smaller p-value. The order of a
     defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
     named only where no model of the bearings explains the record and no impacts repeat, which have many lines. A wrong
     speed or rate in the rig file is named where nothing is missing, or nothing but a line or a spectral shape has a
@@ -168,8 +170,8 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     severe = severe_tone_message(model, record, machine)
     if severe is not None and _is_no_cause_of_tones(verdict):
         verdict = "unknown"
-    if not keeps:
-        bearing = _without_notes_on_the_first(bearing)
+    if not keeps and first is not None:
+        bearing = _with_notes_of(first, bearing)
     mistaken = rig_file_entry(model, machine, rate_hz) if _goes_after_mistakes(verdict) else None
     if mistaken is not None:
         verdict = RIG_FILE
@@ -201,7 +203,7 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
         return have_one_order(law, first)
     if effect.found_by != "law":
         return False
-    if first.effect != LOCAL_DEFECT.name:
+    if first.effect != LOCAL_DEFECT.name or any(note.code == RING_TONES for note in first.notes):
         return True
     return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
 
@@ -217,10 +219,11 @@ def _goes_after_mistakes(verdict: str) -> bool:
     return verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
 
 
-def _without_notes_on_the_first(bearing: BearingJudgement) -> BearingJudgement:
-    """The judgement of the bearings without the notes on what the signal overrules."""
+def _with_notes_of(first: Entry, bearing: BearingJudgement) -> BearingJudgement:
+    """The judgement of the bearings with the notes on what the signal shows, without those on what that overrules."""
     overruled = {note for entry in bearing.ranking[:1] for note in entry.notes}
-    return replace(bearing, messages=tuple(message for message in bearing.messages if message not in overruled))
+    rest = tuple(message for message in bearing.messages if message not in overruled)
+    return replace(bearing, messages=(*first.notes, *rest))
 
 
 def _ranking(bearing: Sequence[Entry], signal: Sequence[Entry], bearing_first: bool) -> tuple[Entry, ...]:

@@ -73,15 +73,15 @@ def significant(entry: Entry, context: Context) -> GateResult:
 def large_enough(entry: Entry, context: Context) -> GateResult:
     """The force is larger than the errors of a simulation or a filter, beside structural modes than theirs.
 
-    Beside lines that shaft and mains explain a tone has to be larger: a record holds tones of its surroundings. So has
-    a law that alone shows its force: it may be an error of the modes.
+    Beside lines that shaft and mains explain a tone has to be larger, within its uncertainty: a record holds tones of
+    its surroundings. So has a law that alone shows its force: it may be an error of the modes.
     """
-    least = 100 * negligible_force_share(context.point.data)
+    least, force = 100 * negligible_force_share(context.point.data), entry.explained_percent
     if context.survey.law is not None:
         least = max(least, THRESHOLDS.min_hidden_law_percent)
     if entry.effect in PERIODIC_EFFECTS and any(band.has_cause for band in context.model.record_lines or ()):
-        least = max(least, THRESHOLDS.min_tone_percent)
-    force, text = entry.explained_percent, "force, % of the bearing force"
+        least, force = max(least, THRESHOLDS.min_tone_percent), entry.explained_limits_percent[1]
+    text = "force, % of the bearing force"
     return GateResult(gate="large enough", passed=force >= least, measured=force, limit=least, text=text)
 
 

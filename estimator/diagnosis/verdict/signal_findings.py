@@ -28,12 +28,13 @@ from estimator.identification.machine import (
 from estimator.identification.machine.thresholds import LIMITS as STRIKE_LIMITS
 from estimator.identification.record import RecordSurvey
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.model.bearing_theory import kinematics
 from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import RIG_FILE, Message, Parameter
 
 from .mistake import mistake_entry
 
-BALL_PASS_NAME = "BPFO"  # of a strike train at the ball passes of the outer ring
+RING_TONES = "tones_at_bearing_order"  # code
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 INTEGRATIONS_TO_VELOCITY = {  # by unit
     MOTION_UNITS[kind]: count for kind, count in (("acceleration", 1), ("velocity", 0), ("displacement", -1))
@@ -60,6 +61,9 @@ class Thresholds:
         Share of the power of a channel that one line holds. A tenth: a line 10 dB below the level adds 0.5 dB to it.
     whole_order_tolerance : float
         Distance of a strike order from a whole number, in shaft orders.
+    tone_pair_chance : float
+        That of two tones, anywhere in five nepers of frequency, one is within the slip of one of two orders (0.08 / 5)
+        and the other at two or three times that (0.008 / 5).
     """
 
     max_p_value: float = 1e-3
@@ -68,6 +72,7 @@ class Thresholds:
     min_second_harmonic_ratio: float = 0.75
     min_line_power_share: float = 0.1
     whole_order_tolerance: float = 0.02
+    tone_pair_chance: float = 2.6e-5
 
 
 MACHINE_THRESHOLDS = Thresholds()
@@ -76,7 +81,8 @@ MACHINE_THRESHOLDS = Thresholds()
 def signal_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
     """Candidates that the signal shows and the model does not have: strikes, then imbalance or misalignment."""
     there = {use.name for use in model.effects}
-    found = [*strike_entries(model, machine), *shaft_entries(model, record, machine)]
+    strikes = strike_entries(model, machine) or ring_tone_entries(model, record, machine)
+    found = [*strikes, *shaft_entries(model, record, machine)]
     return [entry for entry in found if entry.effect not in there]
 
 
@@ -96,7 +102,7 @@ def strike_entries(model: Model, machine: MachineSurvey) -> list[Entry]:
     speed is unknown, none. A model with the varying compliance of the ball passes modulates the vibration at BPFO
     itself.
     """
-    known = {BALL_PASS_NAME} if any(use.name == BALL_PASS.name for use in model.effects) else set()
+    known = {"BPFO"} if any(use.name == BALL_PASS.name for use in model.effects) else set()
     out = []
     for train in machine.strikes:
         kinematic = train.name != NO_KINEMATIC_NAME or (model.bearing is None and train.order is not None)
@@ -104,6 +110,43 @@ def strike_entries(model: Model, machine: MachineSurvey) -> list[Entry]:
         if train.p_value <= MACHINE_THRESHOLDS.max_p_value and named:
             out.append(_strike_entry(model, machine, train))
     return out
+
+
+def ring_tone_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) -> list[Entry]:
+    """The candidate for a defect of a ring that two tones show: a large one at its order, another at a multiple of it.
+
+    Where the band holds one or two harmonics of equal impacts these are tones, and no envelope is modulated. A model
+    with the varying compliance of the ball passes has such tones itself.
+    """
+    speed, bearing = machine.speed, model.bearing
+    if speed is None or bearing is None or any(use.name == BALL_PASS.name for use in model.effects):
+        return []
+    own = kinematics(bearing)
+    orders = {name: own[name] for name in ("BPFO", "BPFI")}
+    tones = [tone for tone in machine.tones if tone.kind == "other"]
+    limits = MACHINE_THRESHOLDS
+    p = limits.tone_pair_chance * len(tones) * (len(tones) - 1)
+    for share, tone, channel in sorted(_power_shares(record, tones), key=lambda s: -s[0]):
+        order = tone.frequency_hz / speed.hz
+        ring = next((name for name, at in orders.items() if abs(order / at - 1.0) <= STRIKE_LIMITS.max_slip_rel), None)
+        multiple = next((k for k in (2, 3) for other in tones if _is_multiple(other, tone, k)), None)
+        if ring is None or multiple is None or share < limits.min_line_power_share or p > limits.max_p_value:
+            continue
+        place = _place(model, channel)
+        known = Parameter(order, order * speed.sd_rpm / speed.value_rpm, "1")
+        text = (
+            f"tones at {order:.3f} x shaft speed ({ring}), {share:.0%} of the power of {channel}, and at {multiple} "
+            f"times that: a defect of a ring, of which the band holds few harmonics; another source at this order does "
+            "the same"
+        )
+        entry = _entry(LOCAL_DEFECT.name, place, p, {f"{place}.{LOCAL_DEFECT.name}.order": known})
+        return [replace(entry, notes=(Message(RING_TONES, text),))]
+    return []
+
+
+def _is_multiple(other: Tone, tone: Tone, k: int) -> bool:
+    """Whether a tone is at k times the frequency of another."""
+    return abs(other.frequency_hz / (k * tone.frequency_hz) - 1.0) <= STRIKE_LIMITS.strike_tolerance_rel
 
 
 def is_whole_order(train: StrikeTrain) -> bool:

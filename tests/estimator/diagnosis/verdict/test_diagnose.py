@@ -166,6 +166,30 @@ def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
     assert verdict(judged("complete"), strikes(), model=passes).verdict == "complete", "it modulates at BPFO itself"
 
 
+@pytest.mark.parametrize(
+    ("orders", "expected"),
+    [
+        ((3.56, 7.12), "local_defect"),  # BPFO with a slip of 0.7 %, and its double
+        ((5.43, 16.29), "local_defect"),  # BPFI
+        ((3.56,), "complete"),  # one tone may be of anything
+        ((3.56, 7.3), "complete"),
+        ((3.3, 6.6), "complete"),  # no order of the bearing
+        ((3.56, 7.12, 4.1, 4.2, 4.4, 5.1, 5.7, 8.3), "complete"),  # of many tones two are at such orders by chance
+    ],
+)
+def test_two_tones_at_multiples_of_a_ball_pass_are_a_local_defect(orders: tuple[float, ...], expected: str) -> None:
+    tones = tuple(tone(order, 10.0 / order, "other") for order in orders)
+    found = verdict(judged("complete"), tones=tones, rms=3.0)
+    assert found.verdict == expected
+    if expected == "local_defect":
+        assert found.ranking[0].parameters["bearing1.x.local_defect.order"].value == pytest.approx(orders[0])
+        assert found.messages[0].code == "tones_at_bearing_order"
+        assert verdict(judged("cubic"), tones=tones, rms=3.0).verdict == "cubic", "tones make no law"
+        assert verdict(judged("complete"), tones=tones, rms=30.0).verdict == "complete", "a small part of the channel"
+        passes = replace(ONE_CAP_RIG, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),))
+        assert verdict(judged("complete"), tones=tones, rms=3.0, model=passes).verdict == "complete"
+
+
 def test_impacts_at_a_whole_multiple_of_the_shaft_are_no_defect_and_say_so() -> None:
     found = verdict(NOT, strikes("other", 2.998), model=replace(ONE_CAP_RIG, bearing=None))
     assert found.verdict == "unknown"

@@ -220,3 +220,20 @@ def test_a_damping_that_drives_the_rotor_is_refused(there: str, strength: dict[s
         placed=(law,),
     )  # fmt: skip
     assert has_impossible_amplitude(entry, after) is impossible
+
+
+@pytest.mark.parametrize(("speed_rpm", "expected"), [(2000.0, "line"), (None, "unknown")])
+def test_beside_surroundings_a_line_may_be_one_of_the_shaft_whose_speed_is_unknown(
+    speed_rpm: float | None, expected: str
+) -> None:
+    model = replace(rig(), speed_rpm=speed_rpm)
+    tone = EffectUse("line", {"bearing1.x": {"a": Setting(0.3), "b": Setting(0.0), "frequency": Setting(713.0)}})
+    y = simulate(replace(model, effects=(tone,)), RATE, 3.0, seed=5, noise=0.02)
+    fitted = fit_all_effects(model, y, RATE)
+    (survey,) = survey_bearing(fitted.model, fitted.point, y)
+    assert bearing.judge_bearing(fitted.model, fitted.point, y, survey=survey).verdict == "line"
+    surrounded = replace(fitted.model, unexplained_places=("bearing1.y",))
+    found = bearing.judge_bearing(surrounded, fitted.point, y, survey=replace(survey, model=surrounded))
+    assert found.verdict == expected
+    if expected == "unknown":
+        assert "speed_rpm" in found.messages[0].text
