@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
@@ -200,16 +200,9 @@ def _held(
 
 
 def _block_size(half: int, rate_hz: float) -> int:
-    """Size of the transform: four times `half`, with at most 0.4 s of new rows, and a product of 2, 3 and 5."""
+    """Size of the transform: four times `half`, with at most 0.4 s of new rows, and a fast one."""
     size = min(1 << int(np.ceil(np.log2(4 * half + 1))), 2 * half + max(1, int(0.4 * rate_hz)))
-    while True:
-        rest = size
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return size
-        size += 1
+    return int(next_fast_len(size, real=True))
 
 
 class BandLimit:
@@ -222,7 +215,7 @@ class BandLimit:
         matrices (outputs, displacements of the first channels), each times a response(f_hz).
     slow : whether `Motion.slow` is asked for.
     undone : response(f_hz) of the recorder, measured over true, that is undone in every output. None: 1.
-    dtype : of the outputs of `push` and `flush`.
+    dtype : of the outputs of `push`.
     """
 
     def __init__(
@@ -267,7 +260,8 @@ class BandLimit:
         self._count += len(y)
         if self._count < self._size:
             return self._join([])
-        self._collect()
+        self._held = np.concatenate([self._held, *(z.T for z in self._fresh)], axis=1)
+        self._fresh = []
         parts = []
         used = 0
         while self._held.shape[1] - used >= self._size:
@@ -277,30 +271,7 @@ class BandLimit:
         self._count = self._held.shape[1]
         return self._join(parts)
 
-    def _collect(self) -> None:
-        self._held = np.concatenate([self._held, *(y.T for y in self._fresh)], axis=1)
-        self._fresh = []
-
-    def flush(self) -> BandLimitedMotion:
-        """The rows still held back; those within `half` of the end are invalid. Ends the stream."""
-        self._collect()
-        count = self._held.shape[1] - self.half
-        if count <= 0:
-            return self._join([])
-        parts = []
-        missing = np.full((len(self.kinds), self._size), np.nan)
-        held = np.concatenate([self._held, missing], axis=1)
-        for used in range(0, count, self._hop):
-            parts.append(self._block(held[:, used : used + self._size], self._dtype))
-        self._held = self._held[:, :0]
-        motion = self._join(parts)
-        a, v, x, u = (z[:, :count] for z in (motion.a, motion.v, motion.x, motion.u))
-        slow = None if motion.slow is None else motion.slow[:, :count]
-        return BandLimitedMotion(start=motion.start, a=a, v=v, x=x, u=u, valid=motion.valid[:count], slow=slow)
-
-    def _block(
-        self, y: Array, dtype: type[np.floating[Any]] = np.float64
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
+    def _block(self, y: Array, dtype: type[np.floating[Any]]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """(outputs, channels, hop) and (hop,) validity from (channels, size) samples. dtype : of the outputs, and
         the precision that they are transformed in."""
         finite = np.isfinite(y)
@@ -346,25 +317,6 @@ class BandLimit:
         )
 
 
-def band_limit(
-    y: Array,
-    kinds: Sequence[str],
-    rate_hz: float,
-    band: tuple[float, float],
-    extra: Terms = (),
-    undone: Callable[[Array], Complexes] | None = None,
-) -> BandLimitedMotion:
-    """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
-    stream = BandLimit(kinds, rate_hz, band, extra, undone=undone)
-    parts = [stream.push(y), stream.flush()]
-    valid = np.concatenate([p.valid for p in parts])
-    a, v, x, u = (
-        np.concatenate([getattr(p, name) for p in parts], axis=1) if parts[1].rows else getattr(parts[0], name)
-        for name in "avxu"
-    )
-    return BandLimitedMotion(start=0, a=a, v=v, x=x, u=u, valid=valid)
-
-
 def out_of_band_sd(
     m: Array,
     c: Array,
@@ -390,8 +342,6 @@ def out_of_band_sd(
 
 def below_band_force(force: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
     size = next_fast_len(force.size, real=True)
     F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
     return np.asarray(

@@ -12,6 +12,7 @@ from estimator.arrays import Array, Complexes
 from estimator.parallel import map_threads
 
 from .band_limit import BandLimit, BandLimitedMotion, Terms
+from .thresholds import LIMITS
 
 
 class BandLimitedRecord(BandLimit):
@@ -45,7 +46,7 @@ class BandLimitedRecord(BandLimit):
     def rows(self) -> int:
         return len(self._y)
 
-    def _filtered(self, b: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    def _filtered(self, b: int, dtype: type[np.floating[Any]]) -> NDArray[Any]:
         """(outputs, channels, hop) filtered rows from b hop on, on the block grid of a stream."""
         first = b * self._hop - self.half
         lo, hi = max(first, 0), min(first + self._size, self.rows)
@@ -54,9 +55,9 @@ class BandLimitedRecord(BandLimit):
             y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
         return self._block(np.ascontiguousarray(y), dtype)[0]
 
-    def whole(self, dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
+    def whole(self) -> BandLimitedMotion:
         """The motion of the whole record in memory."""
-        return self.of_stretches([slice(0, self.rows)], dtype)
+        return self.of_stretches([slice(0, self.rows)])
 
     def of_stretches(self, stretches: Sequence[slice], dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
         """The motion of stretches of rows in memory, laid end to end."""
@@ -78,3 +79,16 @@ class BandLimitedRecord(BandLimit):
 
         map_threads(fill, asked)
         return self.motion(stretches[0].start, out, np.concatenate([self.valid[rows] for rows in stretches]))
+
+
+def band_limit(
+    y: Array,
+    kinds: Sequence[str],
+    rate_hz: float,
+    band: tuple[float, float],
+    extra: Terms = (),
+    undone: Callable[[Array], Complexes] | None = None,
+) -> BandLimitedMotion:
+    """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
+    there = np.where(np.abs(y) <= LIMITS.max_sample_si, y, np.nan)
+    return BandLimitedRecord(y=there, kinds=kinds, rate_hz=rate_hz, band=band, extra=extra, undone=undone).whole()

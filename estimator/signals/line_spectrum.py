@@ -124,13 +124,11 @@ class LineSpectrum:
 
 def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
     """Spectrum of the motion channels, one per place; missing samples count as zero."""
-    from scipy.fft import next_fast_len
+    from scipy.fft import prev_fast_len
 
     moving = [(k, c.place) for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
     columns = [next(k for k, place in moving if place == p) for p in model.places]
-    keep = len(y)
-    while next_fast_len(keep, real=True) != keep:
-        keep -= 1
+    keep = int(prev_fast_len(len(y), real=True))
     windowed, window = np.empty((len(columns), keep), np.float32), np.hanning(keep)
     for row, k in zip(windowed, columns, strict=True):
         np.multiply(y[:keep, k], window, out=row)

@@ -17,7 +17,7 @@ from estimator.identification.moments import fokker_planck  # noqa: E402
 from estimator.identification.moments.plane_moments import PlaneMoments  # noqa: E402
 from estimator.identification.moments.planes import Cap, Plane, density_band, planes_of  # noqa: E402
 from estimator.model.rig import Channel, EffectUse, Model, Setting  # noqa: E402
-from estimator.signals.band_limit import band_limit  # noqa: E402
+from estimator.signals.band_limited_record import band_limit  # noqa: E402
 
 SEEDS = 20
 SAMPLES = 1_000_000

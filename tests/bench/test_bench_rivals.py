@@ -30,7 +30,8 @@ from estimator.errors import DataError
 from estimator.identification.batch import spectral
 from estimator.identification.moments import fokker_planck, score_matching
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.signals.band_limit import BandLimitedMotion, band_limit
+from estimator.signals.band_limit import BandLimitedMotion
+from estimator.signals.band_limited_record import band_limit
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "2"))

@@ -17,7 +17,7 @@ from estimator.likelihood.motion.known_spectra import fitted_bins
 from estimator.likelihood.motion.motion_record import mean_psd
 from estimator.likelihood.motion.prepare import valid_starts
 from estimator.model.rig import Model
-from estimator.signals.band_limit import band_limit
+from estimator.signals.band_limited_record import band_limit
 from estimator.signals.channel_response import anti_alias_response
 
 from .thresholds import LIMITS

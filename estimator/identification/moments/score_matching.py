@@ -21,7 +21,8 @@ from estimator.likelihood.motion.force_balance import motion_channels
 from estimator.likelihood.motion.prepare import check_moves, check_shape
 from estimator.model.rig import Model
 from estimator.results import Estimate, Fit, Message, Parameter
-from estimator.signals.band_limit import BandLimit, band_limit
+from estimator.signals.band_limit import BandLimit
+from estimator.signals.band_limited_record import band_limit
 from estimator.signals.channel_response import anti_alias_response
 
 from .plane_moments import Form, PlaneMoments
