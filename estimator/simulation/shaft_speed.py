@@ -8,8 +8,6 @@ import numpy as np
 
 from estimator.arrays import Array
 
-from . import kernel as kernel
-
 
 @dataclass(frozen=True, slots=True)
 class ShaftSpeed:

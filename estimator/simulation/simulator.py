@@ -14,7 +14,6 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.errors import ModelError
-from estimator.model.effect import Effect
 from estimator.model.rig import Model
 from estimator.signals import low_pass
 
@@ -179,16 +178,9 @@ class Simulator:
 
 def _refuse_without_speed(model: Model, plan: Plan) -> None:
     """Raise ModelError where a law or a tacho needs the shaft speed."""
-    turning = [a.effect.name for a in plan.acting if a.effect.force and reads_shaft_angle(a.effect)]
+    turning = [a.effect.name for a in plan.acting if a.effect.turns]
     if turning or model.tacho is not None:
         raise ModelError(f"no shaft speed, but {', '.join(turning) or 'a tacho channel'} needs it: give speed_rpm")
-
-
-def reads_shaft_angle(effect: Effect) -> bool:
-    """Whether an effect's law reads the shaft angle."""
-    import dis
-
-    return effect.force is not None and any(i.argval == "phase" for i in dis.get_instructions(effect.force))
 
 
 def quantise(y: Array, full_scale: float, bits: int = 16) -> Array:

@@ -21,7 +21,6 @@ from estimator.errors import ModelError
 from estimator.model.rig import Model
 from estimator.model.rotor import assemble, linear_covariance
 
-from . import kernel as kernel
 from .plan import Plan
 from .stepper import Stepper
 from .thresholds import LIMITS

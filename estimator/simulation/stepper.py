@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from estimator.arrays import Array
@@ -96,10 +98,8 @@ def _correlation(plan: Plan, driven: np.ndarray) -> Array | None:
     return np.asarray(np.linalg.cholesky(R))
 
 
-def _shape_taps(shape: object, p: Array, dt: float) -> Array:
+def _shape_taps(shape: Callable[..., Array], p: Array, dt: float) -> Array:
     """(shape_taps,) filter whose gain is the root of the spectral shape, by sampling in frequency."""
-    if not callable(shape):
-        raise TypeError("shape must be callable")
     gain = np.sqrt(np.maximum(shape(np.fft.rfftfreq(LIMITS.shape_taps, dt), p), 0.0))
     taps = np.roll(np.fft.irfft(gain), LIMITS.shape_taps // 2)
     return np.asarray(taps * np.hanning(LIMITS.shape_taps + 1)[: LIMITS.shape_taps])
