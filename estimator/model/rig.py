@@ -77,6 +77,11 @@ class Channel:
         """What it measures, such as "bearing1.x"; a tacho is of the shaft, wherever it stands."""
         return "." if self.kind == "tacho" else f"{self.node}.{self.direction}"
 
+    @property
+    def unit(self) -> str:
+        """SI unit of what it measures; "" of a tacho."""
+        return "N" if self.kind == "force" else MOTION_UNITS.get(self.kind, "")
+
 
 @dataclass(frozen=True, slots=True)
 class BearingGeometry:

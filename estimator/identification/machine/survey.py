@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator.arrays import Array
 from estimator.identification.record import RecordSurvey, moments
-from estimator.model.rig import MOTION_UNITS, Model
+from estimator.model.rig import Model
 from estimator.results import Message
 
 from .machine_survey import MachineSurvey, Tone
@@ -13,8 +13,6 @@ from .speed import SPEED_SUGGESTED, rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
 from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
-
-FORCE_UNIT = "N"
 
 
 def survey_machine(
@@ -49,13 +47,14 @@ def survey_machine(
     MachineSurvey
         Empty where no channel has a gap-free run of 256 samples.
     """
-    columns = _columns(model, record.unusable if record is not None else frozenset())
+    skipped = record.unusable if record is not None else frozenset()
+    columns = {c.name: i for i, c in enumerate(model.channels) if c.kind != "tacho" and c.name not in skipped}
     spectra = channel_spectra(y, rate_hz, columns)
     missing = [
         Message("no_gap_free_piece", f"channel {name}: no run of 256 samples without a gap", name)
         for name in columns if name not in spectra
     ]  # fmt: skip
-    units = {c.name: MOTION_UNITS.get(c.kind, FORCE_UNIT) for c in model.channels}
+    units = {c.name: c.unit for c in model.channels}
     speed, remarks = shaft_speed(model, y, rate_hz, spectra) if spectra else (None, [])
     bank = LIMITS.live_bands_per_rate if live else LIMITS.bands_per_rate
     searched = {} if without_strikes else {name: columns[name] for name in spectra}
@@ -76,11 +75,6 @@ def survey_machine(
         messages=(*missing, *remarks, *struck, *more),
         line_bands={name: tuple(line.band for line in left_out if line.channel == name) for name in spectra},
     )
-
-
-def _columns(model: Model, skipped: frozenset[str]) -> dict[str, int]:
-    """Channel -> its column, of all channels but tachos and those to be skipped."""
-    return {c.name: i for i, c in enumerate(model.channels) if c.kind != "tacho" and c.name not in skipped}
 
 
 def _shown(tones: list[Tone]) -> tuple[tuple[Tone, ...], list[Message]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,9 +15,9 @@ from estimator.model.rig import MOTION_UNITS, Channel
 
 from .channel_summary import Moments, finite_pieces, longest_stretch, power_spectrum, summarise
 from .clipping import clipping_level
-from .findings import CLIPPED_CODE, SPIKES_CODE, ChannelSummary, RecordFinding
+from .findings import CLIPPED_CODE, SPIKES_CODE, STILL_CODES, ChannelSummary, RecordFinding
 from .spikes import robust_scale, spike_rows
-from .thresholds import RECORD_THRESHOLDS, Thresholds
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,6 @@ class ChannelRecord:
         Of the finite samples.
     reach_hz : float
         Frequency up to which a level is known, Hz.
-    limits : Thresholds
-        Limits of the checks.
     """
 
     channel: Channel
@@ -45,7 +43,6 @@ class ChannelRecord:
     rate_hz: float
     moments: Moments
     reach_hz: float
-    limits: Thresholds = RECORD_THRESHOLDS
 
     @cached_property
     def summary(self) -> ChannelSummary:
@@ -56,11 +53,6 @@ class ChannelRecord:
     def robust(self) -> tuple[float, float]:
         """Median, and standard deviation of a Gaussian signal with the median absolute deviation of the channel."""
         return robust_scale(self.y)
-
-    @property
-    def unit(self) -> str:
-        """SI unit of the channel."""
-        return MOTION_UNITS.get(self.channel.kind) or {"force": "N"}.get(self.channel.kind, "")
 
     def finding(
         self, code: str, text: str, rows: tuple[tuple[int, int], ...] = (), usable: bool = True, judged: bool = True
@@ -97,8 +89,8 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
         found.append(
             record.finding(
                 "absurd_values",
-                f"has {absurd} samples beyond {record.limits.max_value_si:g} {record.unit}, which are left out: check "
-                "its unit, its scale and its byte order",
+                f"has {absurd} samples beyond {LIMITS.max_value_si:g} {record.channel.unit}, which are left out: "
+                "check its unit, its scale and its byte order",
                 usable=absurd < 0.01 * (absurd + record.moments.count),
             )
         )
@@ -106,12 +98,12 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
         return [*found, dead]
     if record.channel.kind == "tacho":
         return []
-    found += _spikes(record)
-    if record.channel.kind in MOTION_UNITS:  # a force may rest, and may have two levels
-        for check in (_few_levels, _frozen):
-            if (fault := check(record)) is not None:
-                return [*found, fault]
-    return [*found, *(finding for check in _MOTION_CHECKS for finding in check(record))]
+    for check in _MOTION_CHECKS if record.channel.kind in MOTION_UNITS else _FORCE_CHECKS:
+        if (fault := check(record)) is not None:
+            found.append(fault)
+            if fault.code in STILL_CODES:
+                break
+    return found
 
 
 def _dead(record: ChannelRecord) -> RecordFinding | None:
@@ -123,23 +115,23 @@ def _dead(record: ChannelRecord) -> RecordFinding | None:
     low, high = record.moments.low, record.moments.high
     if low < high:
         return None
-    what = "is zero throughout" if low == 0.0 else f"is constant at {low:g} {record.unit} throughout"
+    what = "is zero throughout" if low == 0.0 else f"is constant at {low:g} {record.channel.unit} throughout"
     return record.finding("dead_channel", f"{what}: check the sensor, its supply and its cable", usable=False)
 
 
 def _frozen(record: ChannelRecord) -> RecordFinding | None:
     """Stretches in which the channel stands still much longer than its own motion lets it."""
-    y, limits = record.y, record.limits
+    y = record.y
     same = np.flatnonzero(np.diff(np.concatenate([[False], y[1:] == y[:-1], [False]])))
     first, stop = same[::2], same[1::2] + 1
-    long = stop - first >= limits.min_frozen_samples
+    long = stop - first >= LIMITS.min_frozen_samples
     first, stop = first[long], stop[long]
     if not first.size:
         return None
     up = int(np.count_nonzero((y[1:] > record.robust[0]) & (y[:-1] <= record.robust[0])))
     moving = record.moments.count - int(np.sum(stop - first))
     period = max(moving, 1) / max(up, 1)
-    frozen = [(int(a), int(b)) for a, b in zip(first, stop, strict=True) if b - a >= limits.min_frozen_periods * period]
+    frozen = [(int(a), int(b)) for a, b in zip(first, stop, strict=True) if b - a >= LIMITS.min_frozen_periods * period]
     if not frozen:
         return None
     share = sum(b - a for a, b in frozen) / record.moments.count
@@ -147,62 +139,65 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
     more = f" and {len(frozen) - 1} more times" if len(frozen) > 1 else ""
     return record.finding(
         "frozen_channel",
-        f"is frozen: it stands still at {y[a]:.4g} {record.unit} from {a / record.rate_hz:.4g} s to "
+        f"is frozen: it stands still at {y[a]:.4g} {record.channel.unit} from {a / record.rate_hz:.4g} s to "
         f"{b / record.rate_hz:.4g} s{more} ({_per_cent(share)} of the record): leave this time out (--from, --to), "
         "check the sensor and its cable",
         tuple(frozen),
-        usable=share <= limits.max_frozen_share,
+        usable=share <= LIMITS.max_frozen_share,
     )
 
 
 def _few_levels(record: ChannelRecord) -> RecordFinding | None:
     """A quantisation step that is coarse against the signal."""
-    part = next(z for z in finite_pieces(record.y) if z.size)[: RECORD_THRESHOLDS.levels_samples]
+    part = next(z for z in finite_pieces(record.y) if z.size)[: LIMITS.levels_samples]
     levels = np.unique(part)
     if levels.size > 64:
         return None
     step, sd = float(np.median(np.diff(levels))) if levels.size > 1 else np.inf, float(np.std(part))
-    if levels.size > 2 and step <= record.limits.max_step_per_sd * sd:
+    if levels.size > 2 and step <= LIMITS.max_step_per_sd * sd:
         return None
     if levels.size <= 2:
         what = "has only two values: one bit of information"
     else:
-        what = f"has only {levels.size} levels, {step:.3g} {record.unit} apart, with an rms of {sd:.3g} {record.unit}"
+        unit = record.channel.unit
+        what = f"has only {levels.size} levels, {step:.3g} {unit} apart, with an rms of {sd:.3g} {unit}"
     return record.finding(
         "few_levels",
         f"{what}; use a smaller sensor range or more bits, and check bit position, length and scale of the signal",
-        usable=levels.size > 2 and step <= record.limits.max_step_per_sd_usable * sd,
+        usable=levels.size > 2 and step <= LIMITS.max_step_per_sd_usable * sd,
     )
 
 
-def _spikes(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _spikes(record: ChannelRecord) -> RecordFinding | None:
     """Single samples far outside all others."""
-    rows = spike_rows(record.y, record.limits)
+    rows = spike_rows(record.y)
     if not rows.size:
-        return
+        return None
     top = int(rows[np.argmax(np.abs(record.y[rows] - record.robust[0]))])
-    more = f", the largest of {rows.size}" if rows.size > 1 else ""
-    yield record.finding(
+    more, unit = f", the largest of {rows.size}" if rows.size > 1 else "", record.channel.unit
+    return record.finding(
         SPIKES_CODE,
-        f"has a spike of {record.y[top]:.3g} {record.unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest "
-        f"has an rms of {record.robust[1]:.3g} {record.unit}: no vibration, left out; check the link and the cable",
+        f"has a spike of {record.y[top]:.3g} {unit} at {top / record.rate_hz:.4f} s (row {top}){more}; the rest has an "
+        f"rms of {record.robust[1]:.3g} {unit}: no vibration, left out; check the link and the cable",
         tuple((int(row), int(row) + 1) for row in rows),
     )
 
 
-def _clipped(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _clipped(record: ChannelRecord) -> RecordFinding | None:
     """Samples at the rails."""
-    if record.channel.kind not in MOTION_UNITS or (found := clipping_level(record.y)) is None:
-        return
+    if (found := clipping_level(record.y)) is None:
+        return None
     level, count = found
-    share, limits = count / record.moments.count, record.limits
-    text = f"is clipped at +-{level:.3g} {record.unit} in {_per_cent(share)} of its samples"
-    if share <= limits.max_clipped_share_bearing:
-        yield record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
-        return
+    share = count / record.moments.count
+    text = f"is clipped at +-{level:.3g} {record.channel.unit} in {_per_cent(share)} of its samples"
+    if share <= LIMITS.max_clipped_share_bearing:
+        return record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
     advice = _range_to_take(record, level, share)
-    yield record.finding(
-        CLIPPED_CODE, f"{text}: no value is reliable; {advice}", usable=share <= limits.max_clipped_share, judged=False
+    return record.finding(
+        CLIPPED_CODE,
+        f"{text}: no value is reliable; {advice}",
+        usable=share <= LIMITS.max_clipped_share,
+        judged=False,
     )
 
 
@@ -212,57 +207,57 @@ def _range_to_take(record: ChannelRecord, level: float, share: float) -> str:
     if not 0.0 < share < 0.9:
         return "use a much larger sensor range"
     need = 5.0 * level / float(-ndtri(0.5 * share))
-    return f"use a sensor range of at least {float(f'{need:.2g}'):g} {record.unit}"
+    return f"use a sensor range of at least {float(f'{need:.2g}'):g} {record.channel.unit}"
 
 
-def _offset(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _offset(record: ChannelRecord) -> RecordFinding | None:
     """A mean that no sensor at rest has."""
-    mean, sd, limits = record.moments.mean, record.moments.sd, record.limits
+    mean, sd, unit = record.moments.mean, record.moments.sd, record.channel.unit
     if record.channel.kind == "acceleration":
-        if abs(mean) > limits.max_offset_m_s2 and abs(abs(mean) / g**2 - 1.0) < limits.gravity_error_rel:
-            yield record.finding(
+        if abs(mean) > LIMITS.max_offset_m_s2 and abs(abs(mean) / g**2 - 1.0) < LIMITS.gravity_error_rel:
+            return record.finding(
                 "wrong_unit",
                 f"has a mean of {mean:.4g} m/s^2, gravity times 9.81: its samples are m/s^2 and the rig file says g",
             )
-            return
-        if abs(abs(mean) - 1.0) < limits.gravity_error_rel and sd < 0.1:
-            yield record.finding(
+        if abs(abs(mean) - 1.0) < LIMITS.gravity_error_rel and sd < 0.1:
+            return record.finding(
                 "wrong_unit",
                 f"has a mean of {mean:.4g} m/s^2, as gravity has in g: check whether its unit is g",
             )
-            return
-    big = record.channel.kind == "acceleration" and abs(mean) > max(limits.max_offset_m_s2, 3.0 * sd)
-    if big or abs(mean) > limits.max_offset_per_sd * sd:
-        yield record.finding(
-            "offset",
-            f"has a mean of {mean:.4g} {record.unit} and an rms about it of {sd:.3g} {record.unit}: check its offset, "
-            "the bias of the sensor, and the unit",
-        )
+    big = record.channel.kind == "acceleration" and abs(mean) > max(LIMITS.max_offset_m_s2, 3.0 * sd)
+    if not big and abs(mean) <= LIMITS.max_offset_per_sd * sd:
+        return None
+    return record.finding(
+        "offset",
+        f"has a mean of {mean:.4g} {unit} and an rms about it of {sd:.3g} {unit}: check its offset, the bias of the "
+        "sensor, and the unit",
+    )
 
 
-def _wrong_unit(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _wrong_unit(record: ChannelRecord) -> RecordFinding | None:
     """Values that no machine has. The median absolute deviation is asked where spikes would make the rms."""
-    kind, limits, sd = record.channel.kind, record.limits, record.moments.sd
+    kind, sd = record.channel.kind, record.moments.sd
     size = min(sd, 3.0 * record.robust[1]) if record.robust[1] > 0.0 else sd
     what = ""
     if kind == "acceleration":
-        if not limits.min_acceleration_rms <= size <= limits.max_acceleration_rms:
+        if not LIMITS.min_acceleration_rms <= size <= LIMITS.max_acceleration_rms:
             what = f"an rms of {size:.3g} m/s^2 ({size / g:.2g} g)"
-        elif (v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)) > limits.max_velocity_rms and size > 0.5 * sd:
+        elif (v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)) > LIMITS.max_velocity_rms and size > 0.5 * sd:
             what = f"a velocity of {1e3 * v:.3g} mm/s rms from 10 to 1000 Hz"
     elif kind == "velocity":
-        if not limits.min_velocity_rms_any <= size <= limits.max_velocity_rms:
+        if not LIMITS.min_velocity_rms_any <= size <= LIMITS.max_velocity_rms:
             what = f"an rms of {1e3 * size:.3g} mm/s"
     elif kind == "displacement":
         peak, follows = record.moments.span / 2.0, _acceleration_of(record)
-        if size < limits.min_displacement_rms:
+        if size < LIMITS.min_displacement_rms:
             what = f"an rms of {size:.3g} m"
-        elif peak > limits.max_displacement_m and size > 0.5 * sd:
+        elif peak > LIMITS.max_displacement_m and size > 0.5 * sd:
             what = f"a displacement of +-{peak:.3g} m"
-        elif follows > limits.max_displacement_acceleration and size > 0.5 * sd:
+        elif follows > LIMITS.max_displacement_acceleration and size > 0.5 * sd:
             what = f"an acceleration of {follows:.3g} m/s^2 rms by its displacement"
-    if what:
-        yield record.finding("wrong_unit", f"has {what}: no machine has that; check its unit and its scale")
+    if not what:
+        return None
+    return record.finding("wrong_unit", f"has {what}: no machine has that; check its unit and its scale")
 
 
 def _acceleration_of(record: ChannelRecord) -> float:
@@ -277,24 +272,22 @@ def _acceleration_of(record: ChannelRecord) -> float:
     return float(np.sqrt(power)) if np.isfinite(power) else np.inf
 
 
-def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _repeated(record: ChannelRecord) -> RecordFinding | None:
     """Samples that repeat the one before more often than quantisation makes them."""
-    if record.channel.kind not in MOTION_UNITS:
-        return
     part = record.y[: 1 << 18]
     inner = (part > record.moments.low) & (part < record.moments.high)  # a clipped channel repeats its rails
     step = np.abs(np.diff(np.where(inner, part, np.nan)))
     step = step[np.isfinite(step)]
     if step.size < 100:
-        return
+        return None
     share = float(np.mean(step == 0.0))
-    if share < record.limits.min_repeated_share or share > 0.999:
-        return
+    if share < LIMITS.min_repeated_share or share > 0.999:
+        return None
     moved = step[step > 0.0]
     least = float(np.quantile(moved, min(share, 0.5)))
     sizes = np.unique(np.round(moved[moved <= least] / least, 3))
     if sizes.size <= 20:  # the steps of a converter: neighbours are equal as its resolution is coarse
-        return
+        return None
     runs = np.diff(np.flatnonzero(np.append(True, step != 0.0)))
     times = int(np.median(runs)) if runs.size else 1
     if times > 1 and float(np.mean(runs == times)) > 0.8:
@@ -304,25 +297,26 @@ def _repeated(record: ChannelRecord) -> Iterator[RecordFinding]:
         )
     else:
         text = f"repeats the sample before in {_per_cent(share)} of its samples: a link or a logger fills lost samples"
-    yield record.finding("repeated_samples", text)
+    return record.finding("repeated_samples", text)
 
 
-def _empty_spectrum(record: ChannelRecord) -> Iterator[RecordFinding]:
+def _empty_spectrum(record: ChannelRecord) -> RecordFinding | None:
     """A spectrum that holds not even the rounding of a converter above some frequency."""
     longest = longest_stretch(record.y)
-    if longest < 1024 or record.channel.kind not in MOTION_UNITS:  # a force may be smooth
-        return
+    if longest < 1024:
+        return None
     with np.errstate(over="ignore", invalid="ignore"):
         f, psd, _ = power_spectrum(record.y, record.rate_hz, min(4096, longest))
-        floor = (record.moments.span * 2.0**-record.limits.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
+        floor = (record.moments.span * 2.0**-LIMITS.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
         full = np.flatnonzero(~(psd < floor))
     edge = float(f[full[-1]]) if full.size else 0.0
-    if edge < record.limits.empty_spectrum_share * record.rate_hz:
-        yield record.finding(
-            "empty_spectrum",
-            f"has nothing above {edge:.4g} Hz, not even noise: it was resampled or smoothed from a lower rate; end the "
-            "band below that and do not use this rate for delays",
-        )
+    if edge >= LIMITS.empty_spectrum_share * record.rate_hz:
+        return None
+    return record.finding(
+        "empty_spectrum",
+        f"has nothing above {edge:.4g} Hz, not even noise: it was resampled or smoothed from a lower rate; end the "
+        "band below that and do not use this rate for delays",
+    )
 
 
 def _per_cent(share: float) -> str:
@@ -330,7 +324,12 @@ def _per_cent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 0.995 else "100 %"
 
 
-_MOTION_CHECKS: tuple[Callable[[ChannelRecord], Iterator[RecordFinding]], ...] = (
+Check = Callable[[ChannelRecord], RecordFinding | None]
+_FORCE_CHECKS: tuple[Check, ...] = (_spikes, _offset)  # a force may rest, be smooth, and have two levels
+_MOTION_CHECKS: tuple[Check, ...] = (
+    _spikes,
+    _few_levels,
+    _frozen,
     _clipped,
     _offset,
     _wrong_unit,

@@ -15,7 +15,7 @@ from estimator.model.rig import MOTION_UNITS
 from .channel_faults import ChannelRecord
 from .channel_summary import segment_starts, segments, stretches
 from .findings import RecordFinding
-from .thresholds import PIECE_ROWS, RECORD_THRESHOLDS, Thresholds
+from .thresholds import LIMITS, PIECE_ROWS
 
 DERIVATIVE_ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}  # of the displacement
 UNIT_FACTORS = {  # between two units that are mixed up
@@ -42,33 +42,27 @@ class PairSpectra:
         return np.abs(self.cross) ** 2 / np.where(both > 0.0, both, 1.0)
 
 
-def pair_spectra(
-    a: Array, b: Array, rate_hz: float, scales: tuple[float, float] = (1.0, 1.0)
-) -> PairSpectra | None:  # fmt: skip
-    """Spectra over the stretches that both channels (n,) have; None with too few segments. scales : they are over."""
-    both = np.isfinite(a) & np.isfinite(b)
+def pair_spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
+    """Spectra, each channel over its largest value, where both have samples; None with too few segments."""
+    both = np.isfinite(a.y) & np.isfinite(b.y)
     longest = max((stop - first for first, stop in stretches(both)), default=0)
-    size = min(RECORD_THRESHOLDS.segment_samples, 1 << max(longest, 1).bit_length() - 1)
+    size = min(LIMITS.segment_samples, 1 << max(longest, 1).bit_length() - 1)
     if size < 64:
         return None
     window = np.hanning(size + 1)[:-1]
     sums, count = np.zeros((3, size // 2 + 1), np.complex128), 0
-    for starts in segment_starts(both, size, RECORD_THRESHOLDS.max_pair_segments):
-        p, q = (
-            rfft(segments(z, starts, size) * (window / scale), axis=1) for z, scale in zip((a, b), scales, strict=True)
-        )
+    for starts in segment_starts(both, size, LIMITS.max_pair_segments):
+        p, q = (rfft(segments(r.y, starts, size) * (window / _scale(r)), axis=1) for r in (a, b))
         sums += np.stack([np.sum(p * p.conj(), 0), np.sum(q * q.conj(), 0), np.sum(p.conj() * q, 0)])
         count += starts.size
-    if count < RECORD_THRESHOLDS.min_segments:
+    if count < LIMITS.min_segments:
         return None
     sums /= count
-    f = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz))
+    f = np.asarray(np.fft.rfftfreq(size, 1.0 / a.rate_hz))
     return PairSpectra(f=f[3:], first=sums[0, 3:].real, second=sums[1, 3:].real, cross=sums[2, 3:])
 
 
-def find_pair_faults(
-    records: Sequence[ChannelRecord], band: tuple[float, float], limits: Thresholds = RECORD_THRESHOLDS
-) -> list[RecordFinding]:
+def find_pair_faults(records: Sequence[ChannelRecord], band: tuple[float, float]) -> list[RecordFinding]:
     """Findings on pairs of channels.
 
     Parameters
@@ -77,26 +71,19 @@ def find_pair_faults(
         Channels that move; none that is dead, frozen or of few levels.
     band : (float, float)
         Analysed band, Hz.
-    limits : Thresholds
-        Limits of the checks.
     """
     found: list[RecordFinding] = []
     copies: set[str] = set()
     for a, b in combinations([r for r in records if r.channel.kind in (*MOTION_UNITS, "force")], 2):
         if {a.channel.name, b.channel.name} & copies:
             continue
-        if (copy := _copy(a, b, limits)) is not None:
+        if (copy := _copy(a, b)) is not None:
             copies.update(copy.unusable)
             found.append(copy)
         elif a.channel.place == b.channel.place and {a.channel.kind, b.channel.kind} <= MOTION_UNITS.keys():
-            found += _same_dof(a, b, band, limits)
+            found += _same_dof(a, b, band)
     kept = [r for r in records if r.channel.kind in MOTION_UNITS and r.channel.name not in copies]
-    return found + _level_steps(kept, limits)
-
-
-def _spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
-    """Spectra of two channels, each over its largest value."""
-    return pair_spectra(a.y, b.y, a.rate_hz, (_scale(a), _scale(b)))
+    return found + _level_steps(kept)
 
 
 def _scale(record: ChannelRecord) -> float:
@@ -116,16 +103,16 @@ def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable:
     )
 
 
-def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFinding | None:
+def _copy(a: ChannelRecord, b: ChannelRecord) -> RecordFinding | None:
     """The second channel as a copy of the first one, but for gain and offset."""
-    share, factor = _residual_of_copy(a, b, limits.max_copy_residual_share)
-    if share > limits.max_copy_residual_share:
+    share, factor = _residual_of_copy(a, b)
+    if share > LIMITS.max_copy_residual_share:
         return None
     gain = factor * _scale(b) / _scale(a)
     exact = share < 1e-12
     if not exact:
-        spectra = _spectra(a, b)
-        if spectra is None or float(np.median(spectra.coherence)) < limits.min_copy_coherence:
+        spectra = pair_spectra(a, b)
+        if spectra is None or float(np.median(spectra.coherence)) < LIMITS.min_copy_coherence:
             return None
     one, other = a.channel.name, b.channel.name
     how = "identical" if exact and gain == 1.0 else f"a copy: {gain:.4g} times {one}"
@@ -140,14 +127,14 @@ def _copy(a: ChannelRecord, b: ChannelRecord, limits: Thresholds) -> RecordFindi
     )
 
 
-def _residual_of_copy(a: ChannelRecord, b: ChannelRecord, most: float) -> tuple[float, float]:
+def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]:
     """Share of the power of the second channel that is not proportional to the first one, and the factor between them.
 
     Each channel is over its largest value. Share 1 where fewer than 64 samples are common or one does not move, and
-    where the residual of the first samples alone is more than the share `most` of the whole power.
+    where the residual of the first samples alone is more than the share of a copy of the whole power.
     """
     total, products, means = 0, np.zeros((2, 2)), np.zeros(2)
-    whole = b.moments.count * (b.moments.sd / _scale(b)) ** 2
+    whole, most = b.moments.count * (b.moments.sd / _scale(b)) ** 2, LIMITS.max_copy_residual_share
     for p, q in _common_pieces(a, b):
         total += p.size
         pieces = np.stack([p, q])
@@ -178,12 +165,12 @@ def _common_pieces(a: ChannelRecord, b: ChannelRecord) -> Iterator[tuple[Array, 
             yield (p, q) if both.all() else (p[both], q[both])
 
 
-def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float], limits: Thresholds) -> list[RecordFinding]:
+def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float]) -> list[RecordFinding]:
     """What two sensors of one degree of freedom say of each other: b over a must be (j w)^(difference of order)."""
-    if (spectra := _spectra(a, b)) is None:
+    if (spectra := pair_spectra(a, b)) is None:
         return []
     use = (spectra.f >= band[0]) & (spectra.f <= min(band[1], 0.4 * a.rate_hz))
-    use &= spectra.coherence > limits.min_same_dof_coherence
+    use &= spectra.coherence > LIMITS.min_same_dof_coherence
     if np.count_nonzero(use) < 4:
         return []
     orders = DERIVATIVE_ORDERS[b.channel.kind] - DERIVATIVE_ORDERS[a.channel.kind]
@@ -207,7 +194,7 @@ def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float], lim
     size = abs(gain)
     for factor, words in UNIT_FACTORS.items():
         for expected in (factor, 1.0 / factor):
-            if abs(size / expected - 1.0) < limits.max_gain_error:
+            if abs(size / expected - 1.0) < LIMITS.max_gain_error:
                 text = f"{one} and {other} of {a.channel.place} differ by a factor of {size:.4g}: {words}?"
                 return [_finding("wrong_unit", a, b, text)]
     return []
@@ -220,22 +207,22 @@ def _gain(values: Complexes) -> tuple[complex, float]:
     return gain, scatter / abs(gain) if abs(gain) > 0.0 else np.inf
 
 
-def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[RecordFinding]:
+def _level_steps(records: Sequence[ChannelRecord]) -> list[RecordFinding]:
     """Channels whose level drops or jumps while the others keep theirs."""
-    if len(records) < 2 or len(records[0].y) < 16 * RECORD_THRESHOLDS.level_pieces:
+    if len(records) < 2 or len(records[0].y) < 16 * LIMITS.level_pieces:
         return []
-    size = len(records[0].y) // RECORD_THRESHOLDS.level_pieces
+    size = len(records[0].y) // LIMITS.level_pieces
     levels = np.array([_levels_db(r.y, size, _scale(r)) for r in records])
     out = []
     for i, record in enumerate(records):
         others = np.delete(levels, i, axis=0)
         relative = levels[i] - np.mean(others, axis=0)
         there = relative[np.isfinite(relative)]
-        if not there.size or np.ptp(there) <= limits.min_level_step_db:
+        if not there.size or np.ptp(there) <= LIMITS.min_level_step_db:
             continue
         at, step = _largest_step(relative)
         rest = np.array([_step_at(o, at) for o in others])
-        if abs(step) > limits.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
+        if abs(step) > LIMITS.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
             word, cause = ("drops", "a loose sensor or cable") if step < 0.0 else ("rises", "a loose contact")
             name, time = record.channel.name, at * size / record.rate_hz
             text = f"{name} {word} by {abs(step):.0f} dB at {time:.3g} s and the other channels do not: {cause}?"
@@ -253,8 +240,8 @@ def _level_steps(records: Sequence[ChannelRecord], limits: Thresholds) -> list[R
 
 def _levels_db(y: Array, size: int, largest: float) -> Array:
     """(level_pieces,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
-    out = np.full(RECORD_THRESHOLDS.level_pieces, np.nan)
-    for k in range(RECORD_THRESHOLDS.level_pieces):
+    out = np.full(LIMITS.level_pieces, np.nan)
+    for k in range(LIMITS.level_pieces):
         piece = y[k * size : (k + 1) * size]
         there = np.isfinite(piece)
         if 2 * np.count_nonzero(there) > size:
@@ -265,7 +252,7 @@ def _levels_db(y: Array, size: int, largest: float) -> Array:
 
 def _largest_step(level: Array) -> tuple[int, float]:
     """Piece at which the level steps most, and the step of the median in dB; four pieces on either side."""
-    steps = [(_step_at(level, at), at) for at in range(4, RECORD_THRESHOLDS.level_pieces - 3)]
+    steps = [(_step_at(level, at), at) for at in range(4, LIMITS.level_pieces - 3)]
     step, at = max(steps, key=lambda s: abs(s[0]))
     return at, step
 

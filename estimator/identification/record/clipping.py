@@ -6,7 +6,8 @@ import numpy as np
 from scipy.special import betainc
 
 from estimator.arrays import Array
-from estimator.identification.record.thresholds import RECORD_THRESHOLDS
+
+from .thresholds import LIMITS
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
@@ -30,21 +31,18 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
     low, high = np.nanmin(y), np.nanmax(y)
-    found = [end for end in extreme_pileups(y, low, high) if end is not None]
+    reach = LIMITS.extreme_range_rel * (high - low)
+    ends = _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
+    found = [end for end in ends if end is not None]
     if found:
         return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
-    size = np.abs(
-        y[
-            (y > (1.0 - RECORD_THRESHOLDS.extreme_range_rel) * top)
-            | (y < (RECORD_THRESHOLDS.extreme_range_rel - 1.0) * top)
-        ]
-    )
+    near = (1.0 - LIMITS.extreme_range_rel) * top
+    size = np.abs(y[(y > near) | (y < -near)])
     if size.size <= 40:
         return None
-    if (
-        len(np.unique(np.round(size / top, 6))) <= RECORD_THRESHOLDS.max_repeated_values
-    ):  # no noise: the same crest again and again
+    # no noise: the same crest again and again
+    if len(np.unique(np.round(size / top, 6))) <= LIMITS.max_repeated_values:
         return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
@@ -54,22 +52,16 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     return None
 
 
-def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
-    """Pile-up of a channel (n,) at its upper extreme, and at its lower one with sign reversed; None without one."""
-    reach = RECORD_THRESHOLDS.extreme_range_rel * (high - low)
-    return _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
-
-
 def _pileup(z: Array) -> tuple[float, int] | None:
-    """Largest value and number of samples that have it; None if a falling density allows as many."""
+    """Largest of some values and number of those that have it; None if a falling density allows as many."""
     top = z.max()
-    equal = z >= top - RECORD_THRESHOLDS.rounding_rel * abs(top)
+    equal = z >= top - LIMITS.rounding_rel * abs(top)
     count = int(np.count_nonzero(equal))
     below = z[~equal]
-    if count <= RECORD_THRESHOLDS.min_pile_samples or not below.size:
+    if count <= LIMITS.min_pile_samples or not below.size:
         return None
-    next_count = np.count_nonzero(below >= below.max() - RECORD_THRESHOLDS.rounding_rel * abs(top))
-    return (float(top), count) if count > 3 * next_count + RECORD_THRESHOLDS.min_pile_samples else None
+    next_count = np.count_nonzero(below >= below.max() - LIMITS.rounding_rel * abs(top))
+    return (float(top), count) if count > 3 * next_count + LIMITS.min_pile_samples else None
 
 
 def pileup_p_value(count: int) -> float:
@@ -83,4 +75,4 @@ def pileup_p_value(count: int) -> float:
     count : int
         Samples at the extreme value.
     """
-    return float(betainc(count, max(count - RECORD_THRESHOLDS.min_pile_samples, 0) / 3 + 1, 0.5))
+    return float(betainc(count, max(count - LIMITS.min_pile_samples, 0) / 3 + 1, 0.5))

@@ -8,6 +8,7 @@ from typing import Any
 
 CLIPPED_CODE = "clipped"
 SPIKES_CODE = "spikes"  # its rows are left out of everything
+STILL_CODES = frozenset({"empty_channel", "dead_channel", "frozen_channel", "few_levels"})  # nothing to compare
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

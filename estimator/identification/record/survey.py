@@ -13,10 +13,8 @@ from estimator.parallel import map_threads
 from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
 from .channel_summary import moments, stretches, usable_hz
-from .findings import ChannelSummary, RecordFinding, RecordSurvey
-from .thresholds import RECORD_THRESHOLDS, Thresholds
-
-STILL_CODES = frozenset({"empty_channel", "dead_channel", "frozen_channel", "few_levels"})  # nothing to compare
+from .findings import STILL_CODES, ChannelSummary, RecordFinding, RecordSurvey
+from .thresholds import LIMITS
 
 
 def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
@@ -54,7 +52,7 @@ def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
     records, found = [record for record, _, _ in each], [finding for _, _, own in each for finding in own]
     still = {name for finding in found if finding.code in STILL_CODES for name in finding.channels}
     found += find_pair_faults([r for r in records if r.channel.name not in still], model.band)
-    found += _missing(model.channels, y, rate_hz, still, RECORD_THRESHOLDS)
+    found += _missing(model.channels, y, rate_hz, still)
     return RecordSurvey(
         channels={record.channel.name: summary for record, summary, _ in each},
         findings=tuple(found),
@@ -67,7 +65,7 @@ def _surveyed(
 ) -> tuple[ChannelRecord, ChannelSummary, list[RecordFinding]]:
     """One channel (n,), its summary, and its faults. reach_hz : up to which a level is known."""
     z = np.ascontiguousarray(y)  # read more than ten times
-    own, largest, absurd = moments(z), RECORD_THRESHOLDS.max_value_si, 0
+    own, largest, absurd = moments(z), LIMITS.max_value_si, 0
     if max(own.high, -own.low) > largest or own.count + np.count_nonzero(np.isnan(z)) < len(z):
         wrong = np.abs(z) > largest
         absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
@@ -78,9 +76,7 @@ def _surveyed(
     return (one if absurd else replace(one, y=y)), one.summary, found
 
 
-def _missing(
-    channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set[str], limits: Thresholds
-) -> list[RecordFinding]:
+def _missing(channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set[str]) -> list[RecordFinding]:
     """Missing samples: of one channel, and of all. Many short records in one have few between them."""
     moving = [k for k, channel in enumerate(channels) if channel.name not in still]
     if not moving or not len(y):
@@ -94,13 +90,13 @@ def _missing(
     out = []
     for k, count in zip(moving, counts, strict=True):
         share = 1.0 - count / total if total else 0.0
-        if share > limits.max_missing_share:
+        if share > LIMITS.max_missing_share:
             name = channels[k].name
             text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"
             out.append(RecordFinding(code="missing_samples", channels=(name,), text=text, places=(channels[k].place,)))
     spans = stretches(any_there)
     share = 1.0 - float(np.mean(any_there))
-    if share > limits.max_missing_rows_share and len(spans) > 1:
+    if share > LIMITS.max_missing_rows_share and len(spans) > 1:
         longest = max(stop - first for first, stop in spans)
         text = (
             f"{100 * share:.2g} % of the rows are missing in {len(spans) - 1} gaps; the longest stretch without one "

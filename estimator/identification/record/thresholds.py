@@ -155,4 +155,4 @@ class Thresholds:
     level_sd_rel: float = 1e-3  # of the level of a limiter: noise behind it blurs it
 
 
-RECORD_THRESHOLDS = Thresholds()
+LIMITS = Thresholds()

@@ -11,13 +11,13 @@ from estimator.arrays import Array
 from estimator.effects import found_by
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
-from estimator.identification.record.thresholds import RECORD_THRESHOLDS
 from estimator.likelihood.motion.prepare import check_shape
 from estimator.model.rig import LINEAR_UNITS, MOTION_UNITS, EffectUse, Model
 from estimator.results import Message, Parameter
 
 from .clipping import clipping_level
 from .findings import SPIKES_CODE, RecordSurvey
+from .thresholds import LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -141,7 +141,7 @@ def level_parameter(found: tuple[float, int] | None, kind: str) -> Parameter:
     """
     if found is None:
         return Parameter(None, None, MOTION_UNITS[kind], identifiable=False, reason="the channel does not clip")
-    return Parameter(found[0], RECORD_THRESHOLDS.level_sd_rel * found[0], MOTION_UNITS[kind])
+    return Parameter(found[0], LIMITS.level_sd_rel * found[0], MOTION_UNITS[kind])
 
 
 def record_messages(survey: RecordSurvey) -> tuple[Message, ...]:
