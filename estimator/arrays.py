@@ -40,6 +40,11 @@ def return_freed_memory(y: Array) -> None:
         under.madvise(mmap.MADV_DONTNEED)
 
 
+def true_runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(runs, 2) first row and row behind the last one of each run of true rows of a mask (n,)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
 def products(J: Array) -> Array:
     """(k, k) products of the rows of J (k, n), a part at a time: threads would wait longer than the sums take."""
     parts = np.array_split(J, max(J.size // ELEMENTS_PER_PRODUCT, 1), axis=1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.arrays import true_runs
 from estimator.identification.residual.missing_force import MissingForce, PlaceResidual
 from estimator.likelihood.path.working_point import WorkingPoint
 
@@ -79,10 +80,8 @@ def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
     inside = np.zeros(at.size, bool)
     inside[order[:enough]] = True
     step = 0.5 * (at[1] - at[0])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     factor, prefix = next((f, p) for f, p in SI_PREFIXES if np.abs(at).max() >= f or f == SI_PREFIXES[-1][0])
     parts = [
-        f"{_round((at[a] - step) / factor)} to {_round((at[b - 1] + step) / factor)}"
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        f"{_round((at[a] - step) / factor)} to {_round((at[b - 1] + step) / factor)}" for a, b in true_runs(inside)
     ]
     return " and ".join(parts) + f" {prefix}{unit}"

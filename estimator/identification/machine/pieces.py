@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len
 
-from estimator.arrays import Array
+from estimator.arrays import Array, true_runs
 
 from .thresholds import LIMITS
 
@@ -27,9 +28,9 @@ class Pieces:
 
     def __init__(self, samples: Array, rate_hz: float, max_seconds: float = LIMITS.max_piece_s) -> None:
         self._samples = _bridged(samples)
-        runs = finite_runs(self._samples)
+        runs = true_runs(np.isfinite(self._samples))
         size = _common_size(runs[:, 1] - runs[:, 0], int(max_seconds * rate_hz)) if len(runs) else 0
-        self.size = _fast_size(size)
+        self.size = int(prev_fast_len(size, real=True)) if size >= LIMITS.min_piece_rows else 0
         self.rate_hz = rate_hz
         self.starts: list[int] = []
         if self.size >= LIMITS.min_piece_rows:
@@ -56,25 +57,12 @@ class Pieces:
             yield rows
 
 
-def finite_runs(samples: Array) -> NDArray[np.intp]:
-    """(runs, 2) first row and row after the last of each run of finite samples."""
-    return _true_runs(np.isfinite(samples))
-
-
-def _true_runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """(runs, 2) first row and row after the last of each run of true rows."""
-    if mask.size and mask.all():
-        return np.array([[0, mask.size]], dtype=np.intp)
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    return edges.reshape(-1, 2).astype(np.intp)
-
-
 def _bridged(samples: Array) -> Array:
     """The samples with short gaps bridged by straight lines."""
     missing = ~np.isfinite(samples)
     if not missing.any() or missing.all():
         return samples
-    edges = _true_runs(missing)
+    edges = true_runs(missing)
     inner = (edges[:, 0] > 0) & (edges[:, 1] < samples.size)
     short = edges[(edges[:, 1] - edges[:, 0] <= LIMITS.bridged_gap_rows) & inner]
     count = int((short[:, 1] - short[:, 0]).sum())
@@ -93,10 +81,3 @@ def _common_size(lengths: NDArray[np.intp], most: int) -> int:
     sizes = sizes[:: max(1, sizes.size // 200)]
     covered = np.array([(lengths // s).sum() * s for s in sizes])
     return int(sizes[np.argmax(covered * np.sqrt(sizes))])
-
-
-def _fast_size(size: int) -> int:
-    """The largest size up to the given one whose FFT is fast."""
-    from scipy.fft import prev_fast_len
-
-    return int(prev_fast_len(size, real=True)) if size >= LIMITS.min_piece_rows else 0

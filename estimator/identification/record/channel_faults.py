@@ -10,7 +10,7 @@ import numpy as np
 from scipy.constants import g
 from scipy.special import ndtri
 
-from estimator.arrays import Array
+from estimator.arrays import Array, true_runs
 from estimator.model.rig import MOTION_UNITS, Channel
 
 from .channel_summary import Moments, finite_pieces, longest_stretch, power_spectrum, summarise
@@ -122,16 +122,14 @@ def _dead(record: ChannelRecord) -> RecordFinding | None:
 def _frozen(record: ChannelRecord) -> RecordFinding | None:
     """Stretches in which the channel stands still much longer than its own motion lets it."""
     y = record.y
-    same = np.flatnonzero(np.diff(np.concatenate([[False], y[1:] == y[:-1], [False]])))
-    first, stop = same[::2], same[1::2] + 1
-    long = stop - first >= LIMITS.min_frozen_samples
-    first, stop = first[long], stop[long]
-    if not first.size:
+    runs = true_runs(y[1:] == y[:-1]) + [0, 1]
+    runs = runs[runs[:, 1] - runs[:, 0] >= LIMITS.min_frozen_samples]
+    if not runs.size:
         return None
     up = int(np.count_nonzero((y[1:] > record.robust[0]) & (y[:-1] <= record.robust[0])))
-    moving = record.moments.count - int(np.sum(stop - first))
+    moving = record.moments.count - int(np.diff(runs).sum())
     period = max(moving, 1) / max(up, 1)
-    frozen = [(int(a), int(b)) for a, b in zip(first, stop, strict=True) if b - a >= LIMITS.min_frozen_periods * period]
+    frozen = [(a, b) for a, b in runs.tolist() if b - a >= LIMITS.min_frozen_periods * period]
     if not frozen:
         return None
     share = sum(b - a for a, b in frozen) / record.moments.count

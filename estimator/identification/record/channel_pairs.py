@@ -13,7 +13,7 @@ from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION_UNITS
 
 from .channel_faults import ChannelRecord
-from .channel_summary import segment_starts, segments, stretches
+from .channel_summary import longest_run, segment_starts, segments
 from .findings import RecordFinding
 from .thresholds import LIMITS, PIECE_ROWS
 
@@ -45,8 +45,7 @@ class PairSpectra:
 def pair_spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
     """Spectra, each channel over its largest value, where both have samples; None with too few segments."""
     both = np.isfinite(a.y) & np.isfinite(b.y)
-    longest = max((stop - first for first, stop in stretches(both)), default=0)
-    size = min(LIMITS.segment_samples, 1 << max(longest, 1).bit_length() - 1)
+    size = min(LIMITS.segment_samples, 1 << max(longest_run(both), 1).bit_length() - 1)
     if size < 64:
         return None
     window = np.hanning(size + 1)[:-1]

@@ -9,22 +9,21 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy.fft import rfft
 
-from estimator.arrays import Array
+from estimator.arrays import Array, true_runs
 from estimator.model.recorder import AntiAlias
 
 from .findings import ChannelSummary
 from .thresholds import LIMITS, PIECE_ROWS
 
 
-def stretches(there: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First row and row behind the last one of every stretch of samples that are there. there : (n,)."""
-    edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+def longest_run(there: NDArray[np.bool_]) -> int:
+    """Rows of the longest stretch of samples that are there. there : (n,)."""
+    return int(np.diff(true_runs(there)).max(initial=0))
 
 
 def longest_stretch(y: Array) -> int:
     """Samples of the longest finite stretch of a channel (n,)."""
-    return max((stop - first for first, stop in stretches(np.isfinite(y))), default=0)
+    return longest_run(np.isfinite(y))
 
 
 def finite_pieces(y: Array) -> Iterator[Array]:
@@ -41,7 +40,7 @@ def segment_starts(there: NDArray[np.bool_], samples: int, most: int) -> Iterato
     there : (n,) whether a sample is there; no segment has one that is not.
     """
     step = max(samples // 2, 1)
-    starts = [np.arange(first, stop - samples + 1, step) for first, stop in stretches(there)]
+    starts = [np.arange(first, stop - samples + 1, step) for first, stop in true_runs(there)]
     every = np.concatenate(starts) if starts else np.zeros(0, np.intp)
     every = every[:: max(1, -(-every.size // most))]
     group = max(1, PIECE_ROWS // samples)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.arrays import LONG_RECORD_BYTES, Array, real_samples
+from estimator.arrays import LONG_RECORD_BYTES, Array, real_samples, true_runs
 from estimator.model.rig import Channel, Model
 from estimator.parallel import map_threads
 
 from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
-from .channel_summary import moments, stretches, usable_hz
+from .channel_summary import longest_run, moments, usable_hz
 from .findings import STILL_CODES, ChannelSummary, RecordFinding, RecordSurvey
 from .thresholds import LIMITS
 
@@ -94,10 +94,10 @@ def _missing(channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set
             name = channels[k].name
             text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"
             out.append(RecordFinding(code="missing_samples", channels=(name,), text=text, places=(channels[k].place,)))
-    spans = stretches(any_there)
+    spans = true_runs(any_there)
     share = 1.0 - float(np.mean(any_there))
     if share > LIMITS.max_missing_rows_share and len(spans) > 1:
-        longest = max(stop - first for first, stop in spans)
+        longest = longest_run(any_there)
         text = (
             f"{100 * share:.2g} % of the rows are missing in {len(spans) - 1} gaps; the longest stretch without one "
             f"has {longest / rate_hz:.3g} s: rotorscope info says why samples were lost"

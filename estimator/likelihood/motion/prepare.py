@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Array, Series, real_samples, return_freed_memory
+from estimator.arrays import Array, Series, real_samples, return_freed_memory, true_runs
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
@@ -282,8 +282,7 @@ def _shared(model: Model) -> tuple[tuple[int, int], ...]:
 
 def valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
     """First rows of the non-overlapping blocks without an invalid row."""
-    edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
-    out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    out = [np.arange(a, b - block + 1, block) for a, b in true_runs(valid)]
     return np.concatenate(out) if out else np.zeros(0, np.int64)
 
 
