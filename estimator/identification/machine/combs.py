@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,11 @@ from scipy.special import gammaincc, gammaln
 from estimator.arrays import Array
 
 from .envelope import EnvelopeSpectrum
-from .spectra import LevelSpectrum, local_noise, ratio_at_nats
+from .spectra import LevelSpectrum, local_noise
 from .thresholds import LIMITS
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LineTable:
     """Nats of every bin of one envelope spectrum for lines of one width.
 
@@ -49,11 +48,6 @@ class LineTable:
     nats: Array
     usable: NDArray[np.bool_]
 
-    @cached_property
-    def clear(self) -> NDArray[np.intp]:
-        """Bins of clear lines, rising."""
-        return np.flatnonzero(self.nats > LIMITS.clear_line_nats)
-
     def bins_at(self, hz: Array) -> NDArray[np.intp]:
         """Nearest bins of some frequencies, Hz; beyond the last bin: its number."""
         return np.minimum(np.rint(hz * self.spectrum.seconds), self.nats.size).astype(np.intp)
@@ -72,53 +66,34 @@ class Comb:
     table: LineTable
 
 
-class AvoidedLines:
-    """Bins at frequencies at which lines have another cause, for all envelope spectra of one resolution.
+def _avoided_bins(P: Array, width: int, hz: Array, sd_hz: Array, seconds: float) -> NDArray[np.bool_]:
+    """(bins,) whether a bin of a spectrum P belongs to a line at some frequencies, or to the flank of one."""
+    lines = np.zeros(P.size, bool)
+    reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)  # under a box a line has no flanks to tell
+    for centre, r in zip(hz * seconds, reach, strict=True):
+        lines[max(0, int(np.ceil(centre - r))) : max(0, int(centre + r) + 1)] = True
+    out = lines.copy()
+    for d in (1, 2):  # the flanks of a line under the window are lower than its peak
+        out[:-d] |= lines[d:] & (P[:-d] < P[d:])
+        out[d:] |= lines[:-d] & (P[d:] < P[:-d])
+    return out
 
-    Parameters
-    ----------
-    hz, sd_hz : (k,) float64
-        Frequencies and their standard deviations.
-    seconds : float
-        Length of a piece.
-    bins : int
-        Of the longest spectrum.
+
+def line_tables(
+    channel: str, spectrum: EnvelopeSpectrum, avoided: tuple[Array, Array]
+) -> Iterator[LineTable | None]:  # fmt: skip
+    """The table of one spectrum for every width of a line; None of one with too few clear lines for a comb.
+
+    avoided : frequencies (Hz) at which lines have another cause, and their standard deviations.
     """
-
-    def __init__(self, hz: Array, sd_hz: Array, seconds: float, bins: int) -> None:
-        self._masks: dict[int, NDArray[np.bool_]] = {}
-        for width in LIMITS.line_widths_bins:
-            out = np.zeros(bins + 2, bool)
-            # under a box a line has no flanks to tell
-            reach = 0.5 * width + sd_hz * seconds + (2.0 if width > 1 else 0.0)
-            for centre, r in zip(hz * seconds, reach, strict=True):
-                out[max(0, int(np.ceil(centre - r))) : max(0, int(centre + r) + 1)] = True
-            self._masks[width] = out
-
-    def bins(self, P: Array, width: int) -> NDArray[np.bool_]:
-        """(bins,) whether a bin of a spectrum P belongs to such a line, or to the flank of one."""
-        out = self._masks[width]
-        own = out[: P.size].copy()
-        for d in (1, 2):  # the flanks of a line under the window are lower than its peak
-            own[:-d] |= out[d : P.size] & (P[:-d] < P[d:])
-            own[d:] |= out[: P.size - d] & (P[d:] < P[:-d])
-        return own
-
-
-def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines) -> Iterator[LineTable | None]:
-    """The table of one spectrum for every width of a line; None of one with too few clear lines for a comb."""
     for width in LIMITS.line_widths_bins:
         if spectrum.power.size < 8 * width:
             continue
         count = max(1.0, spectrum.count * width / LIMITS.hann_bin_correlation) if width > 1 else float(spectrum.count)
         P = uniform_filter1d(spectrum.power, width, mode="nearest") if width > 1 else spectrum.power
         random = uniform_filter1d(spectrum.random, width, mode="nearest") if width > 1 else spectrum.random
-        usable = ~avoided.bins(P, width)
+        usable = ~_avoided_bins(P, width, *avoided, spectrum.seconds)
         usable[: LIMITS.lowest_bins] = False
-        high = usable & (ratio_at_nats(count, LIMITS.clear_line_nats) * random < P)
-        if np.count_nonzero(high) < LIMITS.min_clear_harmonics:  # the noise is no less than that of random phases
-            yield None
-            continue
         thin = P[width // 2 :: width]
         compared = np.where(usable & (LIMITS.least_ratio * random < P), P, 0.0)
         compared = np.maximum.reduceat(compared, width * np.arange(thin.size))
@@ -127,10 +102,8 @@ def line_tables(channel: str, spectrum: EnvelopeSpectrum, avoided: AvoidedLines)
         noise = np.maximum(noise, random)
         level = LevelSpectrum(seconds=spectrum.seconds, count=count, power=P, noise=noise)
         nats = np.where(usable, -level.log_p(np.arange(P.size)), 0.0)
-        if np.count_nonzero(nats > LIMITS.clear_line_nats) < LIMITS.min_clear_harmonics:
-            yield None
-            continue
-        yield LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable)
+        table = LineTable(channel=channel, spectrum=spectrum, width=width, level=level, nats=nats, usable=usable)
+        yield table if np.count_nonzero(nats > LIMITS.clear_line_nats) >= LIMITS.min_clear_harmonics else None
 
 
 def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0, searched: float = 0.0) -> Comb | None:
@@ -150,8 +123,6 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     if not fundamentals_hz.size:
         return None
     m = np.arange(1, LIMITS.harmonic_counts[-1] + 1)
-    if not _has_clear_lines(table, fundamentals_hz, m):
-        return None
     nats = np.append(table.nats, 0.0)
     usable = np.append(table.usable, False)
     main = fundamentals_hz[:, None] * m
@@ -178,13 +149,6 @@ def best_comb(table: LineTable, fundamentals_hz: Array, sideband_hz: float = 0.0
     return Comb(hz=float(fundamentals_hz[i]), log_p=float(log_p[i] + paid), nats=float(everything[i]), table=table)
 
 
-def _has_clear_lines(table: LineTable, fundamentals_hz: Array, m: NDArray[np.intp]) -> bool:
-    """Whether the harmonics m of fundamentals between the first and the last may be eligible: far fewer are."""
-    low, high = fundamentals_hz[0] * m * table.spectrum.seconds, fundamentals_hz[-1] * m * table.spectrum.seconds
-    there = np.searchsorted(table.clear, np.floor(low)) < np.searchsorted(table.clear, np.ceil(high), side="right")
-    return bool((there[0] or there[1]) and np.count_nonzero(there) >= LIMITS.min_clear_harmonics)
-
-
 def log_gamma_tail(n: NDArray[np.int64], x: Array) -> Array:
     """Logarithm of the chance that a gamma variable with n degrees exceeds x; an upper bound where it is tiny."""
     shape = n.astype(np.float64)
@@ -201,12 +165,8 @@ def clear_harmonics(comb: Comb) -> tuple[NDArray[np.intp], Array]:
     at = table.bins_at(np.asarray(comb.hz * m, dtype=np.float64))
     m, at = m[at < table.nats.size], at[at < table.nats.size]
     clear = table.nats[at] > LIMITS.clear_line_nats
-    return m[clear].astype(np.intp), np.sqrt([line_power(table, int(k)) for k in at[clear]])
-
-
-def line_power(table: LineTable, k: int) -> float:
-    """Squared depth of modulation of the line about bin k, less the noise."""
-    return float(_lobe(table, k)[1].sum() / LIMITS.hann_bin_correlation)
+    power = [_lobe(table, int(k))[1].sum() for k in at[clear]]
+    return m[clear].astype(np.intp), np.sqrt(np.array(power) / LIMITS.hann_bin_correlation)
 
 
 def refined_fundamental(comb: Comb) -> float:
@@ -232,7 +192,7 @@ def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> A
     first = max(LIMITS.lowest_bins, int(np.ceil(low_hz * table.spectrum.seconds)))
     last = min(int(high_hz * table.spectrum.seconds) + 1, table.nats.size - 1)
     nats = table.nats
-    bins = table.clear[(table.clear >= first) & (table.clear < last)]
+    bins = first + np.flatnonzero(nats[first:last] > LIMITS.clear_line_nats)
     bins = bins[(nats[bins] >= nats[bins - 1]) & (nats[bins] >= nats[bins + 1])]
     bins = bins[np.argsort(-nats[bins])][:most]
     return bins / table.spectrum.seconds

@@ -70,15 +70,14 @@ def envelope_spectra(
     """
     if not len(pieces):
         return []
-    spectra = _PieceSpectra(pieces)
-    gain = _whitening(spectra, pieces)
+    gain = _whitening(pieces)
     tiers = _tiers(pieces, highest_hz, bank)
     sums = [
         (np.zeros((parts, min(int(highest_hz * pieces.seconds), width) + 1)), np.zeros((parts, width), np.float32))
         for parts, width in tiers
     ]
     first = 0
-    for group in spectra:
+    for group in _spectra(pieces):
         steps = _steps(pieces, range(first, first + len(group)), angle)
         first += len(group)
         white = irfft(group * gain, pieces.size, axis=1)
@@ -101,23 +100,9 @@ def envelope_spectra(
     ]
 
 
-class _PieceSpectra:
-    """Spectra of groups of pieces, (pieces, bins), to be read twice; those of a short record are kept between."""
-
-    def __init__(self, pieces: Pieces) -> None:
-        self._pieces = pieces
-        self._kept: list[NDArray[np.complex64]] = []
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        if self._kept:
-            yield from self._kept
-            return
-        keep = len(self._pieces) * self._pieces.size <= LIMITS.max_kept_rows
-        for group in self._pieces.groups():
-            X: NDArray[Any] = rfft(group.astype(np.float32), axis=1)
-            if keep:
-                self._kept.append(X)
-            yield X
+def _spectra(pieces: Pieces) -> Iterator[NDArray[Any]]:
+    """Spectra of groups of pieces, (pieces, bins)."""
+    return (rfft(group.astype(np.float32), axis=1) for group in pieces.groups())
 
 
 def _tiers(pieces: Pieces, highest_hz: float, bank: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -197,10 +182,10 @@ def _at_one_level(x: Series, rows: int) -> Series:
     return np.asarray(x / np.sqrt(np.maximum(level, least)))
 
 
-def _whitening(spectra: _PieceSpectra, pieces: Pieces) -> NDArray[np.float32]:
+def _whitening(pieces: Pieces) -> NDArray[np.float32]:
     """(bins,) factors that bring the noise in the spectrum of a piece to 1 and bound the lines."""
     power = np.zeros(pieces.size // 2 + 1)
-    for X in spectra:
+    for X in _spectra(pieces):
         power += (X.real**2 + X.imag**2).sum(axis=0)
     power /= len(pieces)
     floor = _floor(power, pieces.seconds)

@@ -68,8 +68,6 @@ class Tone:
         SI unit of the amplitudes.
     p_value : float
         Chance that noise of the record's spectrum has such a line anywhere in the record.
-    power_ratio : float
-        Power over the noise in the line's width, in the channel where this is largest.
     """
 
     kind: ToneKind
@@ -78,7 +76,6 @@ class Tone:
     amplitude: Mapping[str, float]
     unit: str
     p_value: float
-    power_ratio: float
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `tones` in the JSON of a diagnosis."""

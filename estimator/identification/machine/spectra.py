@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.special import fdtrc, fdtri, gammaincinv
+from scipy.special import fdtrc, gammaincinv
 
 from estimator.arrays import Array
 from estimator.parallel import map_threads
@@ -67,12 +66,6 @@ class LevelSpectrum:
             return False
         spread = np.log(self.power[k]) - self.mean_log[k]
         return bool(spread < EXPONENTIAL_MEAN_LOG - 3.0 * EXPONENTIAL_SD_LOG / np.sqrt(self.count))
-
-
-@cache
-def ratio_at_nats(count: float, nats: float) -> float:
-    """Power over noise, a little less than that at which a bin has some nats. count : as of a `LevelSpectrum`."""
-    return 0.999 * float(fdtri(2 * count, 2 * count * LIMITS.noise_bins, -np.expm1(-nats)))
 
 
 def level_spectra(pieces: Pieces) -> list[LevelSpectrum]:

@@ -60,8 +60,8 @@ def shaft_speed(
             f"check speed_rpm ({60 * other[0]:.0f}?)"
         )
         return speed, [Message(SPEED_CONTRADICTED, text)]
-    known = f"orders hold to {LIMITS.nameplate_sd_rel:.0%}"
-    text = f"no harmonic of the {60 * given:.0f} rpm of the rig file stands out: {known}"
+    sd_rel = LIMITS.nameplate_sd_rel
+    text = f"no harmonic of the {60 * given:.0f} rpm of the rig file stands out: orders hold to {sd_rel:.0%}"
     return speed, [Message(SPEED_NOT_SEEN, text)]
 
 
@@ -115,8 +115,6 @@ def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
     rows = max(1, min(int(rate_hz), (phase.size - 1) // 4))
     local = np.diff(phase[::rows]) * rate_hz / rows / (2 * np.pi)
     hz = float(phase[-1] - phase[0]) / (2 * np.pi) * rate_hz / (phase.size - 1)
-    if hz <= 0.0:
-        return None
     sd = LIMITS.tacho_sd_turns * rate_hz / phase.size
     wander = float(local.std()) / hz
     return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="tacho", wander_rel=wander)

@@ -24,7 +24,6 @@ from estimator.parallel import map_threads
 from estimator.results import Message
 
 from .combs import (
-    AvoidedLines,
     Comb,
     LineTable,
     best_comb,
@@ -78,7 +77,7 @@ def kinematics_of(model: Model) -> list[Kinematic]:
     """What each defect of the rig's bearing would show; empty without geometry or a given ball-pass order."""
     if model.bearing is None:
         return [Kinematic(name="BPFO", order=model.ball_pass_order)] if model.ball_pass_order else []
-    own = {name: float(order) for name, order in kinematics(model.bearing).items()}
+    own = kinematics(model.bearing)
     return [
         Kinematic(name="BPFO", order=own["BPFO"]),
         Kinematic(name="BPFI", order=own["BPFI"]),
@@ -155,8 +154,7 @@ def _channel_search(
     out = _ChannelSearch(named=[None] * len(kinds))
     turn_hz = LIMITS.unknown_shaft_hz if speed is None else speed.hz
     spectra = envelope_spectra(pieces, LIMITS.highest_order * turn_hz, LIMITS.level_turns / turn_hz, bank, angle)
-    longest = max((spectrum.power.size for spectrum in spectra), default=0)
-    avoided = AvoidedLines(*_avoided(speed), pieces.seconds, longest)
+    avoided = _avoided(speed)
     for table in (table for spectrum in spectra for table in line_tables(channel, spectrum, avoided)):
         out.tables += 1
         if table is None:
@@ -214,8 +212,6 @@ def _ranked(certain: Sequence[Verdict], speed: ShaftSpeed) -> list[tuple[Verdict
     whose harmonics are the strong lines. Of names that the record does not resolve, the one that needs less slip.
     A comb at the speed of the cage as strong as the train speaks for a ball: a defect of a ring does not turn with it.
     """
-    if not certain:
-        return []
     tables = {id(v.comb.table): v.comb.table for v in certain}
     power = np.array([[_explained(v.comb, table) for table in tables.values()] for v in certain])
     share = (power / np.maximum(power.max(axis=0), 1e-30)).sum(axis=1) / len(tables)

@@ -27,7 +27,6 @@ class Thresholds:
     floor_block_bins: int = 8  # of that floor, at least
     angle_points: int = 4096  # of a piece at which the angle of the shaft is followed
     tone_noise_hz: float = 10.0  # a tone counts no more than the noise in so many hertz
-    max_kept_rows: int = 1 << 22  # of a channel whose spectra are kept between two readings: 32 MB
     least_power: float = 1e-30  # added to powers that may be 0; in single precision
     min_tone_ratio: float = 9.0  # power over the floor that is never bounded: noise does not reach it
 

@@ -219,7 +219,6 @@ def tones_of(
             amplitude=amplitude,
             unit=units[line.channel],
             p_value=float(np.exp(max(min(e[0].log_p for e in same), -690.0))),
-            power_ratio=max(e[0].power_ratio for e in same),
         )
         out.append((share, tone))
     return [tone for _, tone in sorted(out, key=lambda entry: -entry[0])]

@@ -87,9 +87,7 @@ def tone(order: float, mm_s: float, kind: Any = "order") -> Tone:
     """A tone by its velocity, mm/s rms."""
     hz = 30.0 * order
     amplitude = {"b1x": 1e-3 * mm_s * np.sqrt(2) * 2 * np.pi * hz}
-    return Tone(
-        kind=kind, order=order, frequency_hz=hz, amplitude=amplitude, unit="m/s^2", p_value=1e-20, power_ratio=1e3
-    )
+    return Tone(kind=kind, order=order, frequency_hz=hz, amplitude=amplitude, unit="m/s^2", p_value=1e-20)
 
 
 def entry(effect: str, percent: float = 30.0) -> Entry:
