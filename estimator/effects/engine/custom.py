@@ -10,7 +10,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects import NAMED
 from estimator.errors import ModelError
-from estimator.model.effect import Effect, EffectParameter, amplitude
+from estimator.model.effect import Effect, EffectParameter, amplitude, searched
 from estimator.model.rig import EffectUse, Setting
 
 from .compiled import address
@@ -131,20 +131,12 @@ def _with_limits(q: EffectParameter, s: Setting) -> EffectParameter:
 def _parameter(name: str, unit: str, s: Setting) -> EffectParameter:
     """Search range in SI from min, max and value; without any, in natural sizes by the unit."""
     if s.value is None and s.low is None and s.high is None:
-        return EffectParameter(
-            name=name,
-            unit=unit,
-            low=-4.0,
-            high=4.0,
-            default=1.0,
-            description="of the user's law",
-            scale=SCALE_OF_UNIT.get(unit, "1"),
-        )
+        return searched(name, unit, "of the user's law", (-4.0, 4.0, 1.0), scale=SCALE_OF_UNIT.get(unit, "1"))
     value = s.value if s.value is not None else 0.5 * ((s.low or 0.0) + (s.high or 0.0))
     wide = sorted((value / 30.0, value * 30.0)) if value else [-1.0, 1.0]
     low = s.low if s.low is not None else min(wide[0], value)
     high = s.high if s.high is not None else max(wide[1], value)
-    return EffectParameter(name=name, unit=unit, low=low, high=high, default=value, description="of the user's law")
+    return searched(name, unit, "of the user's law", (low, high, value))
 
 
 def _start(q: EffectParameter, s: Setting) -> float:

@@ -11,6 +11,7 @@ import ast
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 from numba import njit
 
@@ -20,41 +21,29 @@ STATE_NAMES = ("x", "v", "xo", "vo", "t", "phase")
 NUMBER_CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH_CHARACTERS, MAX_NODE_COUNT, MAX_DEPTH_LEVELS = 1000, 300, 40
 
+OWN_FUNCTIONS: dict[str, Callable[..., Any]] = {  # of numpy, for scalars
+    "power": lambda a, b: a**b,
+    "square": lambda a: a * a,
+    "sign": lambda a: 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0 * a),
+    "heaviside": lambda a, at_zero: 1.0 if a > 0.0 else (0.0 if a < 0.0 else at_zero),
+    "clip": lambda a, low, high: min(max(a, low), high),
+    "where": lambda condition, a, b: a if condition else b,
+}
+SCALAR_FUNCTIONS = {f"_{name}": njit(error_model="numpy")(function) for name, function in OWN_FUNCTIONS.items()}
 FUNCTION_CODES: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar code
     **{
         name: (1, f"math.{name}")
-        for name in (
-            "sin",
-            "cos",
-            "tan",
-            "sinh",
-            "cosh",
-            "tanh",
-            "exp",
-            "expm1",
-            "log",
-            "log1p",
-            "log10",
-            "sqrt",
-            "floor",
-        )
+        for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1", "log", "log1p", "log10")
     },
+    **{name: (1, f"math.{name}") for name in ("sqrt", "floor", "ceil")},
     **{name: (1, f"math.{name.replace('arc', 'a')}") for name in ("arcsin", "arccos", "arctan")},
-    "ceil": (1, "math.ceil"),
     "arctan2": (2, "math.atan2"),
     "hypot": (2, "math.hypot"),
     "fmod": (2, "math.fmod"),
-    "abs": (1, "abs"),
-    "absolute": (1, "abs"),
-    "fabs": (1, "abs"),
+    **dict.fromkeys(("abs", "absolute", "fabs"), (1, "abs")),
     "maximum": (2, "max"),
     "minimum": (2, "min"),
-    "power": (2, "_power"),
-    "square": (1, "_square"),
-    "sign": (1, "_sign"),
-    "heaviside": (2, "_heaviside"),
-    "clip": (3, "_clip"),
-    "where": (3, "_where"),
+    **{name: (function.__code__.co_argcount, f"_{name}") for name, function in OWN_FUNCTIONS.items()},
 }
 OPERATOR_NODES = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.FloorDiv)
 COMPARISON_NODES = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
@@ -87,46 +76,6 @@ class ExpressionError(ModelError):
         super().__init__(text if parameter else f"{text} (column {column})")
         self.column = column
         self.parameter = parameter
-
-
-@njit(error_model="numpy")
-def _sign(a):  # type: ignore[no-untyped-def]
-    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0 * a)
-
-
-@njit(error_model="numpy")
-def _square(a):  # type: ignore[no-untyped-def]
-    return a * a
-
-
-@njit(error_model="numpy")
-def _power(a, b):  # type: ignore[no-untyped-def]
-    return a**b
-
-
-@njit(error_model="numpy")
-def _heaviside(a, at_zero):  # type: ignore[no-untyped-def]
-    return 1.0 if a > 0.0 else (0.0 if a < 0.0 else at_zero)
-
-
-@njit(error_model="numpy")
-def _clip(a, low, high):  # type: ignore[no-untyped-def]
-    return min(max(a, low), high)
-
-
-@njit(error_model="numpy")
-def _where(condition, a, b):  # type: ignore[no-untyped-def]
-    return a if condition else b
-
-
-SCALAR_FUNCTIONS = {
-    "_sign": _sign,
-    "_square": _square,
-    "_power": _power,
-    "_heaviside": _heaviside,
-    "_clip": _clip,
-    "_where": _where,
-}
 
 
 class _Rewrite(ast.NodeTransformer):
