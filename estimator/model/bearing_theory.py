@@ -133,22 +133,10 @@ class Theory:
 
     def to_json(self) -> dict[str, Any]:
         """Everything, in SI (lengths in m), with `"schema": 1`."""
-        curves = []
-        for curve in self.curves:
-            plain = {name: getattr(curve, name) for name in ("preload", "kL", "kNL")}
-            arrays = {name: getattr(curve, name).tolist() for name in ("x", "force", "tangent", "secant")}
-            fits = {"tangent_quadratic": asdict(curve.tangent_quadratic)}
-            curves.append(plain | arrays | fits | {"secant_quadratic": asdict(curve.secant_quadratic)})
+        arrays = ("x", "force", "tangent", "secant")
+        curves = [asdict(own) | {name: getattr(own, name).tolist() for name in arrays} for own in self.curves]
         fitted = [
-            {
-                "place": row.place,
-                "kL": row.kL.to_json(),
-                "kNL": row.kNL.to_json() if row.kNL else None,
-                "preload_implied": row.preload_implied,
-                "preload_sd": row.preload_sd,
-                "theory_kNL": row.theory_kNL,
-            }
-            for row in self.fitted
+            asdict(row) | {"kL": row.kL.to_json(), "kNL": row.kNL.to_json() if row.kNL else None} for row in self.fitted
         ]
         return {
             "schema": 1,

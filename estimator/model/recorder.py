@@ -66,20 +66,11 @@ def _zeros_and_poles(own: AntiAlias) -> tuple[Complexes, Complexes]:
     """Zeros and poles, rad/s, of an analogue filter."""
     from scipy import signal
 
-    w = 2 * np.pi * own.cutoff_hz
-    zeros: Complexes | Array
-    if own.kind == "bessel":
-        zeros, poles, _ = signal.bessel(own.order, w, norm="mag", analog=True, output="zpk")
-    elif own.kind == "butterworth":
-        zeros, poles, _ = signal.butter(own.order, w, analog=True, output="zpk")
-    elif own.kind == "chebyshev1":
-        zeros, poles, _ = signal.cheby1(
-            own.order, own.ripple_db or LIMITS.pass_band_ripple_db, w, analog=True, output="zpk"
-        )
-    else:
-        zeros, poles, _ = signal.cheby2(
-            own.order, own.ripple_db or LIMITS.stop_band_loss_db, w, analog=True, output="zpk"
-        )
+    w, form = 2 * np.pi * own.cutoff_hz, "bessel_mag" if own.kind == "bessel" else own.kind
+    ripple_db, loss_db = own.ripple_db or LIMITS.pass_band_ripple_db, own.ripple_db or LIMITS.stop_band_loss_db
+    zeros, poles, _ = signal.iirfilter(  # type: ignore[call-overload]
+        own.order, w, ripple_db, loss_db, btype="lowpass", analog=True, ftype=form, output="zpk"
+    )
     return np.asarray(zeros, complex), np.asarray(poles, complex)
 
 
