@@ -1,9 +1,9 @@
 """Time stepping in compiled code: the force held over the step, and the decimation.
 
-State x, v: the degrees of freedom, in groups of as many slots (a slot without one stays zero), and one more slot that
-is always zero, for "no such degree of freedom". z: memory states. Effects are called by address. The
-output of a step is its average: (v1 - v0) / h is the mean acceleration over the step for any force. So
-acceleration, velocity, displacement and force all pass the same box filter of length h, centred on the step.
+State x, v: a slot for each degree of freedom, and one more that is always zero, for "no such degree of freedom".
+z: memory states. Effects are called by address. The output of a step is its average: (v1 - v0) / h is the mean
+acceleration over the step for any force. So acceleration, velocity, displacement and force all pass the same box filter
+of length h, centred on the step.
 
 The linear rotor is propagated exactly, the effects with the two-stage second-order exponential Runge-Kutta rule (Cox
 and Matthews, J. Comput. Phys. 176, 2002, 430-455, eq. 22).
@@ -68,43 +68,39 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
     """Advance x (m), v (m/s) and z by len(F) steps of h s, exactly for the linear rotor at any step.
 
     t0 : s, time of the first step. phase : (steps + 1,) rad, shaft angle. F : (steps, slots) N, held over a step.
-    table : of the effects. matrices : E (groups, 2 width, 2 width), G0, G1 (groups, 2 width, width), the propagator of
-    the rotor. chan : (channels, 2) kind and slot. out : (channels, steps), filled with the averages of the steps.
+    table : of the effects. matrices : E (2 dofs, 2 dofs), G0, G1 (2 dofs, dofs), the propagator of the rotor.
+    chan : (channels, 2) kind and slot. out : (channels, steps), filled with the averages of the steps.
     """
     E, G0, G1 = matrices
-    width = G0.shape[2]
+    dofs = G0.shape[1]
     n, nz = x.size, z.size
     f, f1, x1, v1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     zs, d1, d2 = np.zeros(nz), np.zeros(nz), np.zeros(nz)
     for k in range(F.shape[0]):
         t, Fk = t0 + k * h, F[k]
         _effects(x, v, z, t, phase[k], table, f, d1)
-        for d in range(E.shape[0]):
-            o = width * d
-            for i in range(width):
-                xi, vi = 0.0, 0.0
-                for j in range(width):
-                    g = Fk[o + j] - f[o + j]
-                    xi += E[d, i, j] * x[o + j] + E[d, i, width + j] * v[o + j] + G0[d, i, j] * g
-                    vi += E[d, width + i, j] * x[o + j] + E[d, width + i, width + j] * v[o + j]
-                    vi += G0[d, width + i, j] * g
-                x1[o + i], v1[o + i] = xi, vi
+        for i in range(dofs):
+            xi, vi = 0.0, 0.0
+            for j in range(dofs):
+                g = Fk[j] - f[j]
+                xi += E[i, j] * x[j] + E[i, dofs + j] * v[j] + G0[i, j] * g
+                vi += E[dofs + i, j] * x[j] + E[dofs + i, dofs + j] * v[j]
+                vi += G0[dofs + i, j] * g
+            x1[i], v1[i] = xi, vi
         if table[0].size:
             for i in range(nz):
                 zs[i] = z[i] + h * d1[i]
             _effects(x1, v1, zs, t + h, phase[k + 1], table, f1, d2)
             for i in range(nz):
                 z[i] += 0.5 * h * (d1[i] + d2[i])
-            for d in range(E.shape[0]):
-                o = width * d
-                for i in range(width):
-                    xi, vi = 0.0, 0.0
-                    for j in range(width):
-                        g = f[o + j] - f1[o + j]
-                        xi += G1[d, i, j] * g
-                        vi += G1[d, width + i, j] * g
-                    x1[o + i] += xi
-                    v1[o + i] += vi
+            for i in range(dofs):
+                xi, vi = 0.0, 0.0
+                for j in range(dofs):
+                    g = f[j] - f1[j]
+                    xi += G1[i, j] * g
+                    vi += G1[dofs + i, j] * g
+                x1[i] += xi
+                v1[i] += vi
         _emit(out, k, chan, x, v, x1, v1, Fk, h)
         for i in range(n):
             x[i], v[i] = x1[i], v1[i]  # x[:] = x1 takes four seconds to compile, for the message of an error

@@ -125,59 +125,15 @@ def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -
     return rows
 
 
-@dataclass(frozen=True, slots=True)
-class Slots:
-    """Layout of the state: as many slots in each group of coupled degrees of freedom, and a last one that stays zero.
-
-    groups, width : number of groups (the directions, where nothing couples them) and of slots in each. of_dof : (dofs,)
-    slot of each degree of freedom.
-    """
-
-    groups: int
-    width: int
-    of_dof: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, rig: Assembly) -> Slots:
-        along = np.array([CAP_DIRECTIONS.index(dof[-1]) for dof in rig.dofs])
-        coupled = np.abs(rig.M) + np.abs(rig.C) + np.abs(rig.K) > 0.0
-        if coupled[along[:, None] != along].any():
-            along[:] = 0
-        groups, group = np.unique(along, return_inverse=True)
-        width = int(np.bincount(group).max())
-        within = np.array([int((group[:i] == g).sum()) for i, g in enumerate(group)])
-        return cls(groups.size, width, np.asarray(group * width + within, dtype=np.int64))
-
-    @property
-    def count(self) -> int:
-        return self.groups * self.width + 1
-
-    def vector(self, a: Array, fill: float = 0.0) -> Array:
-        """(slots,) of values a (dofs,); `fill` in slots without a degree of freedom."""
-        out = np.full(self.count, fill)
-        out[self.of_dof] = a
-        return out
-
-    def blocks(self, A: Array, rows: int = 1, columns: int = 1) -> Array:
-        """(groups, rows width, columns width): the diagonal block of each group of A (rows * dofs, columns * dofs)."""
-        n, w = len(self.of_dof), self.width
-        out = np.zeros((self.groups, rows * w, columns * w))
-        for i, a in enumerate(self.of_dof):
-            for j, b in enumerate(self.of_dof):
-                if a // w == b // w:
-                    out[a // w, a % w :: w, b % w :: w] = A[i::n, j::n]
-        return out
-
-
 EffectTable = tuple[
     NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uintp], NDArray[np.uintp], NDArray[np.uintp], Array
 ]
 
 
-def effect_table(acting: tuple[ActingLaw, ...], slots: Slots) -> tuple[EffectTable, int, tuple[Array, Array]]:
+def effect_table(acting: tuple[ActingLaw, ...], dofs: int) -> tuple[EffectTable, int, tuple[Array, Array]]:
     """The effect table of the kernels, the number of memory states, and the arrays that the table points into.
 
-    Laws are compiled here, at first use. The arrays must outlive the table.
+    Laws are compiled here, at first use. The arrays must outlive the table. dofs : number of degrees of freedom.
     """
     from estimator.effects.engine.compiled import address
 
@@ -197,7 +153,7 @@ def effect_table(acting: tuple[ActingLaw, ...], slots: Slots) -> tuple[EffectTab
             raise ModelError(f"effect {a.effect.name} (kind {a.effect.kind}) has no law to simulate")
         P[k, : a.p.size], lin[k] = a.p, a.lin
         where[k, 0] = a.where[0]
-        where[k, 1:7] = [slots.of_dof[i] if i >= 0 else slots.count - 1 for i in a.where[1:]]
+        where[k, 1:7] = [i if i >= 0 else dofs for i in a.where[1:]]
         where[k, 7] = states
         states += a.effect.states if a.effect.kind == "memory" else 0
     sign = np.array([a.s for a in acting], dtype=np.float64)

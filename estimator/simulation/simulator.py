@@ -20,7 +20,7 @@ from estimator.signals import low_pass
 from . import kernel as kernel
 from .plan import Plan, simulation_plan
 from .shaft_speed import ShaftSpeed
-from .start import start_state
+from .start import bring_to_start
 from .stepper import Stepper
 from .thresholds import LIMITS
 
@@ -93,9 +93,7 @@ class Simulator:
         self._step = Stepper(self.plan, 1.0 / (rate_hz * oversample), self.speed)
         self._taps = antialias_taps(oversample)
         before = LIMITS.margin_samples * oversample + self._taps.size // 2
-        self._step.x, self._step.v, self._step.z, self._step.count = start_state(
-            model, self.plan, self._step, self._rng, start, -before
-        )
+        bring_to_start(model, self._step, self._rng, start, -before)
         self._steps = np.zeros((len(self.plan.channels), self._taps.size + LIMITS.block_samples * oversample))
         self._step.advance(self._rng, self._steps[:, : self._taps.size])
         self._tail = np.zeros((0, len(model.channels)))  # stepped rows whose sensors have not been applied

@@ -26,51 +26,46 @@ from .stepper import Stepper
 from .thresholds import LIMITS
 
 
-def start_state(
-    model: Model,
-    plan: Plan,
-    stepper: Stepper,
-    rng: np.random.Generator,
-    start: Literal["boltzmann", "rest"],
-    first: int,
-) -> tuple[Array, Array, Array, int]:
-    """Motion x (slots,) m, v (slots,) m/s, memories z and the number `first` of the next step.
+def bring_to_start(
+    model: Model, stepper: Stepper, rng: np.random.Generator, start: Literal["boltzmann", "rest"], first: int
+) -> None:  # fmt: skip
+    """Bring a stepper that is at rest to its start, before step number `first`.
 
     Raises ModelError where there is no stationary state.
     """
-    rig, n = plan.rig, len(plan.rig.dofs)
+    plan, rig, n = stepper.plan, stepper.plan.rig, len(stepper.plan.rig.dofs)
+    stepper.count = first
     if start == "rest":
-        return stepper.x, stepper.v, stepper.z, first
+        return
     if not np.any(rig.S):
         raise ModelError("no force drives the rotor, so there is no stationary state: set S, or start from rest")
     P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
     refuse_escape(plan, np.sqrt(np.diag(P)[:n]), np.diag(rig.M) * np.diag(P)[n:])
     w, U = np.linalg.eigh(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
     u = np.sqrt(np.diag(P)) * (U @ (np.sqrt(np.maximum(w, 0.0)) * rng.standard_normal(2 * n)))
-    stepper.x, stepper.v = stepper.slots.vector(u[:n]), stepper.slots.vector(u[n:])
-    if plan.acting:
-        known = stationarity(model)
-        if known.exact and not plan.correlation and not plan.shapes:
-            _thermalise(plan, stepper, rng, known.temperature)
-        else:
-            steps = round(LIMITS.burn_s / stepper.dt)
-            stepper.count = first - steps
-            stepper.run_in(rng, steps)
-    return stepper.x, stepper.v, stepper.z, first
+    stepper.x[:n], stepper.v[:n] = u[:n], u[n:]
+    if not plan.acting:
+        return
+    known = stationarity(model)
+    if known.exact and not plan.correlation and not plan.shapes:
+        _thermalise(stepper, rng, known.temperature)
+    else:
+        steps = round(LIMITS.burn_s / stepper.dt)
+        stepper.count -= steps
+        stepper.run_in(rng, steps)
 
 
-def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperature: float) -> None:
+def _thermalise(stepper: Stepper, rng: np.random.Generator, temperature: float) -> None:
     """Run with damping 0.5 m w on every mass at a temperature in J, for 60 times the slowest damping time."""
-    rig = plan.rig
+    rig = stepper.plan.rig
     m, w = np.diag(rig.M), np.sqrt(np.diag(rig.K) / np.diag(rig.M))
     strong = replace(rig, C=np.diag(0.5 * m * w), S=2.0 * 2.0 * temperature * 0.5 * m * w)
-    other = type(stepper)(replace(plan, rig=strong), stepper.dt, stepper.speed)
-    other.x, other.v, other.z = stepper.x, stepper.v, stepper.z
+    other = Stepper(replace(stepper.plan, rig=strong), stepper.dt, stepper.speed)
+    other.x, other.v, other.z = stepper.x, stepper.v, stepper.z  # stepped in place
     steps = round(60.0 / (0.5 * w.min()) / stepper.dt)
     while steps > 0:
         other.run_in(rng, min(steps, 65536))
         steps -= 65536
-    stepper.x, stepper.v, stepper.z = other.x, other.v, other.z
 
 
 def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:

@@ -11,7 +11,7 @@ from estimator.errors import ModelError
 from estimator.model.rotor import propagator
 
 from . import kernel as kernel
-from .plan import Plan, Slots, effect_table
+from .plan import Plan, effect_table
 from .shaft_speed import ShaftSpeed
 from .thresholds import LIMITS
 
@@ -20,15 +20,15 @@ class Stepper:
     """The rotor's state and the compiled step.
 
     plan : of the model. dt : s, length of a step. speed : of the shaft; None: angle 0.
-    x, v : (slots,) m and m/s. z : memory states. count : number of the next step; step k starts at k * dt.
+    x, v : (slots,) m and m/s, of the degrees of freedom, and 0 in a last slot. z : memory states. count : number of the
+    next step; step k starts at k * dt.
     """
 
     def __init__(self, plan: Plan, dt: float, speed: ShaftSpeed | None) -> None:
         self.plan, self.dt, self.speed = plan, dt, speed
-        rig, self.slots = plan.rig, Slots.of(plan.rig)
-        self._table, states, self._kept = effect_table(plan.acting, self.slots)
-        n = self.slots.count
-        self.x, self.v, self.z = np.zeros(n), np.zeros(n), np.zeros(states)
+        rig, n = plan.rig, len(plan.rig.dofs)
+        self._table, states, self._kept = effect_table(plan.acting, n)
+        self.x, self.v, self.z = np.zeros(n + 1), np.zeros(n + 1), np.zeros(states)
         self.count = 0
         self.driven = np.flatnonzero(rig.S)
         self.level = np.sqrt(rig.S[self.driven] / (2.0 * dt))
@@ -39,16 +39,14 @@ class Stepper:
             if i in self.driven
         ]
         self._past: Array | None = None  # white force before this call, for the colouring filters
-        E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
-        self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
+        self._matrices = tuple(np.ascontiguousarray(A) for A in propagator(rig.M, rig.C, rig.K, dt))
         self._channels = plan.channels.astype(np.uintp)
-        self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
 
     def advance(self, rng: np.random.Generator, out: Array) -> None:
         """Step out.shape[1] times under a random force; fill out (channels, steps) with the averages of the steps."""
         steps = out.shape[1]
-        F = np.zeros((steps, self.slots.count))
-        F[:, self.slots.of_dof[self.driven]] = self._force(rng, steps)
+        F = np.zeros((steps, self.x.size))
+        F[:, self.driven] = self._force(rng, steps)
         self.step(F, out)
 
     def run_in(self, rng: np.random.Generator, steps: int) -> None:

@@ -78,11 +78,10 @@ def run(model: Model, factor: int, seconds: float, start: np.ndarray) -> np.ndar
     """Free motion from `start` (x, v over the degrees of freedom) with factor * 25600 steps a second."""
     stepper = Stepper(simulation_plan(model), 1.0 / (RATE * factor), ShaftSpeed(2100.0))
     n = len(start) // 2
-    stepper.x, stepper.v = stepper.slots.vector(start[:n]), stepper.slots.vector(start[n:])
+    stepper.x[:n], stepper.v[:n] = start[:n], start[n:]
     steps = round(seconds * RATE * factor)
-    stepper.step(np.zeros((steps, stepper.slots.count)), np.empty((len(stepper.plan.channels), steps)))
-    slots = stepper.slots.of_dof
-    return np.concatenate([stepper.x[slots], stepper.v[slots]])
+    stepper.step(np.zeros((steps, n + 1)), np.empty((len(stepper.plan.channels), steps)))
+    return np.concatenate([stepper.x[:n], stepper.v[:n]])
 
 
 def exact_path(model: Model, seconds: float, start: np.ndarray) -> np.ndarray:
