@@ -24,11 +24,6 @@ class ShaftAngle:
         self._pulses: list[Array] = []
         self._known = (0, 0.0)  # a row and its angle: the next window goes on from there
 
-    @property
-    def measured(self) -> bool:
-        """Whether there is a tacho channel."""
-        return self._column is not None
-
     def push(self, block: Array) -> None:
         """The next rows (n, channels of the model), NaN where missing."""
         if self._column is not None:

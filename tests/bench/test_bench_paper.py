@@ -54,7 +54,7 @@ def test_strong_shaft_at_a_million_samples(nonlinearity: float) -> None:
     lam = nonlinearity * KL / T
     mass = M3 / MU
     caps = tuple(Cap(f"bearing{i}.x", (1, 3), None) for i in (1, 2))
-    plane = Plane("x", caps, ks=KL, a=0.5, b=-0.5, disc=M3)
+    plane = Plane("x", caps, ks=KL, a=0.5, b=-0.5)
     coupling = 0.5 * KL * np.array([[1.0, -1.0], [-1.0, 1.0]])
     methods: dict[str, Callable[[np.ndarray, np.ndarray], Result]] = {
         "eq. (36) midpoint": lambda x, v: fokker_planck.fokker_planck_parameters(plane, x, v, "midpoint", 30),

@@ -124,7 +124,7 @@ def plane_of(case: Case, direction: str, masses_known: bool) -> Plane:
     """The direction as eq. (36) has it: disc integrated out of the density, masses given or not."""
     mass = CAP_KG[direction] if masses_known else None
     caps = tuple(Cap(f"{node}.{direction}", (1, 3), mass) for node in ("bearing1", "bearing2"))
-    return Plane(direction, caps, case.model.shaft_stiffness, 0.5, b=-0.5, disc=DISC_KG)
+    return Plane(direction, caps, case.model.shaft_stiffness, 0.5, b=-0.5)
 
 
 def _score(plane: Plane, x: Array, v: Array, velocity: bool) -> tuple[dict[str, float], Array]:

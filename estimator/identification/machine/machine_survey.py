@@ -79,8 +79,7 @@ class Tone:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `tones` in the JSON of a diagnosis."""
-        names = ("kind", "order", "frequency_hz", "unit", "p_value")
-        return {name: getattr(self, name) for name in names} | {"amplitude": dict(self.amplitude)}
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ A cap that no spring of the shaft joins to another has the one-dimensional form 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -36,10 +36,6 @@ from .thresholds import LIMITS
 
 Form = Literal["midpoint", "response"]
 CELL_WIDTH_RMS = {1: 0.15, 2: 0.3}  # of the displacement, for one and two caps
-GAUSS_QUADRATURE = (
-    np.array([-(0.6**0.5), 0.0, 0.6**0.5]),
-    np.array([5.0, 8.0, 5.0]) / 18.0,
-)  # nodes of [-1, 1], weights to 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,14 +58,11 @@ class Histogram:
     rows: Array
 
 
-def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = LIMITS.bootstrap_blocks) -> Histogram:
-    """Histogram of displacements x (n, caps), m, over +- 4.5 rms; v : (n, caps) velocities, m/s.
-
-    cell : cell width in rms of the displacement; None: by the number of caps.
-    """
-    n, caps = x.shape
+def histogram(x: Array, v: Array) -> Histogram:
+    """Histogram of displacements x (n, caps), m, over +- 4.5 rms; v : (n, caps) velocities, m/s."""
+    (n, caps), blocks = x.shape, LIMITS.bootstrap_blocks
     sigma = np.std(x, axis=0)
-    width = (CELL_WIDTH_RMS[caps] if cell is None else cell) * float(sigma.min())
+    width = CELL_WIDTH_RMS[caps] * float(sigma.min())
     half = np.minimum(np.ceil(LIMITS.grid_half_width_rms * sigma / width).astype(np.int64), 60)
     widths = np.full(caps, width)  # one width for both axes, as in the paper
     at = np.floor(x / widths).astype(np.int64) + half
@@ -124,10 +117,10 @@ def _weighted_least_squares(design: Array, response: Array, weight: Array) -> Ar
 
 def _log_cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Array:
     """(cells,) logarithm of the mean density of a cell over that at its centre, by 3-point Gauss quadrature."""
-    nodes, weights = GAUSS_QUADRATURE
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # of [-1, 1], weights to 2
     caps = len(plane.caps)
     offsets = np.stack(np.meshgrid(*(nodes,) * caps, indexing="ij"), axis=-1).reshape(-1, caps) * grid.widths / 2.0
-    weight = np.prod(np.stack(np.meshgrid(*(weights,) * caps, indexing="ij"), axis=-1).reshape(-1, caps), axis=1)
+    weight = np.prod(np.stack(np.meshgrid(*(weights,) * caps, indexing="ij"), axis=-1).reshape(-1, caps) / 2.0, axis=1)
     at_centre = potentials(plane, grid.centres)
     base = at_centre[0] @ theta + shaft * at_centre[1]
     total = np.zeros(len(grid.centres))
@@ -163,11 +156,8 @@ def _density_slopes(
     drop = logs[here] - logs[there]  # = (V' - V)/T
 
     def kept(expected: Array) -> NDArray[np.bool_]:
-        keep = (
-            (np.minimum(expected[here], expected[there]) >= LIMITS.min_counts)
-            & (counts[here] > 0)
-            & (counts[there] > 0)
-        )
+        keep = np.minimum(expected[here], expected[there]) >= LIMITS.min_counts
+        keep &= (counts[here] > 0) & (counts[there] > 0)
         if keep.sum() < 4 * (terms.shape[1] + 1):
             raise DataError(
                 f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold "
@@ -176,14 +166,12 @@ def _density_slopes(
         return keep
 
     keep = kept(counts)
+    one = np.ones(int(keep.sum()))
     if form == "midpoint" and free:  # as printed: unknowns (T/ks, k/ks), the noisy logarithm among the regressors
-        one = np.ones(int(keep.sum()))
         solution = _weighted_least_squares(np.column_stack([-drop, terms])[keep], -spring[keep] / unit, one)
         return solution[1:] / solution[0] / scale, float(1.0 / (solution[0] * unit))
     if form == "midpoint":
-        return _weighted_least_squares(
-            terms[keep], (drop - known * spring)[keep], np.ones(int(keep.sum()))
-        ) / scale, known
+        return _weighted_least_squares(terms[keep], (drop - known * spring)[keep], one) / scale, known
     design = np.column_stack([terms, spring / unit]) if free else terms
     expected, mean = counts, np.zeros(len(counts))
     for _ in range(4):  # cells chosen by their counts at first, then by the fitted density: no selection
@@ -259,14 +247,12 @@ def fokker_planck_parameters(
     """
     if len(plane.caps) == 2 and not plane.scale_from_shaft:
         return _uncoupled_parameters(plane, x, v, form, replicates, seed)
-    grid = histogram(x, v)
-    values = _parameter_values(plane, grid, np.ones(LIMITS.bootstrap_blocks), form)
+    grid, blocks = histogram(x, v), LIMITS.bootstrap_blocks
+    values = _parameter_values(plane, grid, np.ones(blocks), form)
     rng = np.random.default_rng(seed)
     draws = []
     for _ in range(replicates):
-        weights = rng.multinomial(
-            LIMITS.bootstrap_blocks, np.full(LIMITS.bootstrap_blocks, 1.0 / LIMITS.bootstrap_blocks)
-        ).astype(float)
+        weights = rng.multinomial(blocks, np.full(blocks, 1.0 / blocks)).astype(float)
         draws.append(_parameter_values(plane, grid, weights, form))
     covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
     if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:
@@ -284,7 +270,7 @@ def _uncoupled_parameters(
     values: dict[str, float] = {}
     parts = []
     for i, cap in enumerate(plane.caps):
-        alone = Plane(plane.direction, (cap,), ks=plane.ks, a=plane.a, b=0.0, disc=plane.disc)
+        alone = replace(plane, caps=(cap,), b=0.0)
         found, cov = fokker_planck_parameters(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
         values |= found
         parts.append(cov)

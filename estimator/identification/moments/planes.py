@@ -26,7 +26,9 @@ from .synchronous import ORDERS_BY_EFFECT
 from .thresholds import LIMITS
 
 POWER_EFFECTS = {name: (n, e.parameters[0].name) for name, e in CATALOGUE.items() if (n := e.power)}
-POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
+UNIT_OF_PARAMETER = {"kL": "N/m", "m": "kg", "lambda": "1/m^2"} | {
+    e.parameters[0].name: e.parameters[0].unit for e in CATALOGUE.values() if e.power
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +71,6 @@ class Plane:
         Shaft stiffness, N/m.
     a, b : float
         Coefficients of the shaft energy, see the text of the module.
-    disc : float or None
-        Mass of the disc, kg; None: unknown.
     """
 
     direction: str
@@ -79,7 +79,6 @@ class Plane:
     a: float = 0.0
     _: KW_ONLY
     b: float = 0.0
-    disc: float | None = None
 
     @property
     def masses_known(self) -> bool:
@@ -135,10 +134,7 @@ class Plane:
 
 def unit_of(name: str) -> str:
     """SI unit of a density method's parameter, by its full name."""
-    kind = name.rsplit(".", 1)[1]
-    if kind in ("lambda", "m"):
-        return "1/m^2" if kind == "lambda" else "kg"
-    return POWER_UNITS[{"kL": 1, "kq": 2, "kNL": 3, "k5": 5}[kind]]
+    return UNIT_OF_PARAMETER[name.rsplit(".", 1)[1]]
 
 
 def disc_mode_hz(model: Model) -> float:
@@ -199,7 +195,7 @@ def planes_of(model: Model) -> tuple[Plane, ...]:
             extra = [POWER_EFFECTS[e.name][0] for e in model.effects if e.name in POWER_EFFECTS and place in e.at]
             caps.append(Cap(place, (1, *sorted(set(extra))), model.cap_mass(place)))
         a, b = _shaft_term(model, len(places))
-        out.append(Plane(direction, tuple(caps), ks=model.shaft_stiffness, a=a, b=b, disc=model.mass.get("disc")))
+        out.append(Plane(direction, tuple(caps), ks=model.shaft_stiffness, a=a, b=b))
     return tuple(out)
 
 

@@ -26,13 +26,6 @@ def barrier(kL: float, kNL: float, temperature: float) -> float:
     return kL**2 / (4.0 * abs(kNL) * temperature)
 
 
-def _softening_text(place: str, kL: float, kNL: float, temperature: float) -> str:
-    return (
-        f"{place}: softening cubic kNL = {kNL:.3g} N/m^3 has no stationary density (barrier "
-        f"{barrier(kL, kNL, temperature):.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
-    )
-
-
 def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) -> list[Message]:
     """A line for each cap whose fitted cubic softens by more than 3 sd and has too low a barrier; v : (n, caps) m/s."""
     out = []
@@ -40,9 +33,13 @@ def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) ->
         kL, kNL = found.get(f"{cap.place}.kL"), found.get(f"{cap.place}.cubic.kNL")
         if cap.mass is None or kL is None or kNL is None or kL.value is None or kNL.value is None:
             continue
-        temperature = cap.mass * float(np.mean(v[:, i] ** 2))
-        if kNL.value < -3.0 * (kNL.sd or 0.0) and barrier(kL.value, kNL.value, temperature) < 20.0:
-            out.append(Message("softens", _softening_text(cap.place, kL.value, kNL.value, temperature), cap.place))
+        height = barrier(kL.value, kNL.value, cap.mass * float(np.mean(v[:, i] ** 2)))
+        if kNL.value < -3.0 * (kNL.sd or 0.0) and height < 20.0:
+            text = (
+                f"{cap.place}: softening cubic kNL = {kNL.value:.3g} N/m^3 has no stationary density (barrier "
+                f"{height:.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
+            )
+            out.append(Message("softens", text, cap.place))
     return out
 
 

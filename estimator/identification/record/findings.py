@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 CLIPPED_CODE = "clipped"
@@ -38,7 +38,7 @@ class ChannelSummary:
 
     def to_json(self) -> dict[str, float | None]:
         """The numbers by name."""
-        return {name: getattr(self, name) for name in ("rms", "peak", "crest", "kurtosis", "velocity_rms_mm_s")}
+        return asdict(self)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

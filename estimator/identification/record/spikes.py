@@ -54,8 +54,6 @@ def spike_rows(y: Array) -> NDArray[np.intp]:
     (k,) int
         Empty where the channel has fewer than 16 samples, or half of them have one value.
     """
-    if surely_without_spikes(y[:, None])[0]:
-        return np.zeros(0, dtype=np.intp)
     centre, sd = robust_scale(y)
     if not 0.0 < sd < np.inf:
         return np.zeros(0, dtype=np.intp)

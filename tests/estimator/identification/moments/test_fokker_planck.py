@@ -21,7 +21,7 @@ LAMBDA = 0.1 / (T / KL)
 
 def strong_shaft(mass: float | None = None, ks: float = KL) -> Plane:
     caps = tuple(Cap(f"bearing{i}.x", (1, 3), mass) for i in (1, 2))
-    return Plane("x", caps, ks=ks, a=0.5, b=-0.5, disc=M3)
+    return Plane("x", caps, ks=ks, a=0.5, b=-0.5)
 
 
 def samples(n: int, seed: int, ks: float = KL, lam: float = LAMBDA) -> tuple[np.ndarray, np.ndarray]:

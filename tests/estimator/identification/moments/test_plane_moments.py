@@ -17,7 +17,7 @@ LAMBDA = 0.1 / (T / KL)
 
 def strong_shaft(mass: float | None = None) -> Plane:
     caps = tuple(Cap(f"bearing{i}.x", (1, 3), mass) for i in (1, 2))
-    return Plane("x", caps, ks=KL, a=0.5, b=-0.5, disc=M3)
+    return Plane("x", caps, ks=KL, a=0.5, b=-0.5)
 
 
 def strong_shaft_samples(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +46,7 @@ def test_unknown_masses_follow_from_a_strong_shaft(form: str) -> None:
 
 def test_a_soft_shaft_does_not_give_a_mass() -> None:
     caps = tuple(Cap(f"bearing{i}.x", (1, 3), None) for i in (1, 2))
-    plane = Plane("x", caps, ks=1e-3 * KL, a=0.5, b=-0.5, disc=M3)
+    plane = Plane("x", caps, ks=1e-3 * KL, a=0.5, b=-0.5)
     x = boltzmann(100_000, np.full(2, KL), np.full(2, LAMBDA * KL), np.zeros((2, 2)), T, 3)
     v = np.random.default_rng(3).standard_normal(x.shape) * np.sqrt(T / MASS)
     found = fed(plane, x, v, "density").parameters()
@@ -73,7 +73,7 @@ def test_velocity_form_needs_no_equal_temperatures_and_little_data() -> None:
     K = np.diag([ks, ks])  # the disc at rest
     x, v = langevin(m, c, kL, [1.3e18, 1.3e18], K, [4.5e-5, 1.35e-4], 25600.0, 8 * 25600, seed=7)
     caps = (Cap("bearing1.x", (1, 3), m[0]), Cap("bearing2.x", (1, 3), m[1]))
-    values, cov = fed(Plane("x", caps, ks, 1.0, b=0.0, disc=M3), x, v, "velocity", 2560).values()
+    values, cov = fed(Plane("x", caps, ks, 1.0, b=0.0), x, v, "velocity", 2560).values()
     sd = dict(zip(values, np.sqrt(np.diag(cov)), strict=True))
     for i, cap in enumerate(caps):
         name = f"{cap.place}.kL"
@@ -105,7 +105,7 @@ def test_undriven_damping_destroys_the_mass_ratio(disc_damping: float, shaft_dam
     x, v = exact_rows(P[:2, :2], np.diag(P)[3:5])
     for mass, expected in ((None, mu), (MASS, None)):
         caps = tuple(Cap(f"bearing{i}.x", (1,), mass) for i in (1, 2))
-        moments = PlaneMoments(Plane("x", caps, ks=ks, a=0.5, b=-0.5, disc=M3))
+        moments = PlaneMoments(Plane("x", caps, ks=ks, a=0.5, b=-0.5))
         moments.add(x, v)
         values, _ = moments.values()
         if expected is not None:
