@@ -174,8 +174,8 @@ def ball_angles(bearing: BearingGeometry, phase: float = 0.0) -> Array:
 
 
 def radial_force(
-    bearing: BearingGeometry, preload: float, x: Array, phase: float = 0.0, K_n: float | None = None
-) -> tuple[Array, Array, Array]:
+    bearing: BearingGeometry, preload: float, x: Array, phase: float = 0.0
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Restoring force, tangent stiffness and transverse displacement, each (n,): N, N/m, m.
 
     x : (n,) m. The transverse balance is solved to machine accuracy: the elastic energy is convex in y, so its slope
@@ -185,7 +185,7 @@ def radial_force(
     cos, sin = np.cos(th), np.sin(th)
     contact = math.cos(bearing.contact_angle)
     # The axial stiffness of the ball is not modelled: approach and force are both projected on the radial plane.
-    scale = (load_deflection(bearing) if K_n is None else K_n) * contact**2.5
+    scale = load_deflection(bearing) * contact**2.5
     x = np.atleast_1d(np.asarray(x, float))
 
     def approach(y: Array) -> Array:
@@ -219,20 +219,17 @@ def _quadratic(x: Array, k: Array, reach: float) -> Quadratic:
     return Quadratic(float(k0), float(k2 / reach**2), float(reach), float(100.0 * error))
 
 
-def curve(bearing: BearingGeometry, preload: float, reach: float | None = None, points: int = 401) -> Curve:
+def curve(bearing: BearingGeometry, preload: float) -> Curve:
     """Force and stiffness at one preload (m; negative: clearance) over |x| <= 2 reach; quadratics over |x| <= reach.
 
-    reach : m; default the preload itself, or twice a clearance.
+    The reach is the preload itself, or twice a clearance.
     """
-    K_n = load_deflection(bearing)
-    if reach is None:
-        reach = preload if preload > 0.0 else max(-2.0 * preload, 0.1e-6)
-    half = points // 2
+    reach = preload if preload > 0.0 else max(-2.0 * preload, 0.1e-6)
     # exactly symmetric, with an exact zero
-    x: Array = np.arange(-half, half + 1, dtype=np.float64) * (2.0 * reach / half)
-    force, tangent, _ = radial_force(bearing, preload, x, K_n=K_n)
+    x: Array = np.arange(-200, 201, dtype=np.float64) * (2.0 * reach / 200)
+    force, tangent, _ = radial_force(bearing, preload, x)
     secant: Array = np.where(x == 0.0, tangent, force / np.where(x == 0.0, 1.0, x))
-    kL, kNL = taylor(bearing, preload, K_n)
+    kL, kNL = taylor(bearing, preload)
     return Curve(
         preload=preload,
         x=x,
@@ -246,7 +243,7 @@ def curve(bearing: BearingGeometry, preload: float, reach: float | None = None, 
     )
 
 
-def taylor(bearing: BearingGeometry, preload: float, K_n: float | None = None) -> tuple[float, float | None]:
+def taylor(bearing: BearingGeometry, preload: float) -> tuple[float, float | None]:
     """Coefficients kL (N/m) and kNL (N/m^3) of the force at x = 0, a ball on the axis; (0, None) in a clearance.
 
     Exact derivatives of sum K (g + x c + y s)^1.5 with the transverse balance: by symmetry y = O(x^2), and it enters
@@ -258,13 +255,11 @@ def taylor(bearing: BearingGeometry, preload: float, K_n: float | None = None) -
         Numbers of balls, diameters and contact angle.
     preload : float
         Radial preload, m; negative: clearance.
-    K_n : float or None
-        Load over deflection^1.5 of a ball, N/m^1.5; None: by Hertz's theory.
     """
     if preload <= 0.0:
         return 0.0, None
     contact = math.cos(bearing.contact_angle)
-    scale = (load_deflection(bearing) if K_n is None else K_n) * contact**2.5
+    scale = load_deflection(bearing) * contact**2.5
     g = preload / contact
     th = ball_angles(bearing)
     cos, sin = np.cos(th), np.sin(th)

@@ -33,9 +33,8 @@ class Disc:
     @property
     def comb_hz(self) -> tuple[float, float]:
         """Where a model whose shaft breathes is not judged."""
-        return LIMITS.near_resonance_rel[0] * self.w0 / (2 * np.pi), LIMITS.near_resonance_rel[1] * self.w0 / (
-            2 * np.pi
-        )
+        low, high = LIMITS.near_resonance_rel
+        return low * self.w0 / (2 * np.pi), high * self.w0 / (2 * np.pi)
 
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""

@@ -136,7 +136,7 @@ def bearing_theory(out: Path, number: int, hertz: Theory, secant: bool) -> None:
     quadratics = [c.secant_quadratic if secant else c.tangent_quadratic for c in curves]
     g = np.array([c.preload for c in curves]) * 1e6
     every = np.linspace(0.0, g.max(), 60)
-    line = [taylor(hertz.bearing, u * 1e-6, hertz.K_n)[0] * 1e-6 for u in every]
+    line = [taylor(hertz.bearing, u * 1e-6)[0] * 1e-6 for u in every]
     axes[1].plot(every, line, color="#1f5fa8", linewidth=1.2, label="at x = 0")
     axes[1].plot(g, [c.kL * 1e-6 for c in curves], "o", color="#1f5fa8", markersize=4)
     k0 = [q.k0 * 1e-6 for q in quadratics]

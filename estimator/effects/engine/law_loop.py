@@ -27,19 +27,9 @@ from .compiled import machine_code
 
 F, P = types.float64, types.CPointer(types.float64)
 LOOP_SIGNATURE = F(P, P, P, P, P, P, F, F, F, F, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
-C_ADDRESS, C_DOUBLE, C_INTEGER = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
-LOOP_POINTER_TYPE = ctypes.CFUNCTYPE(
-    C_DOUBLE,
-    *[C_ADDRESS] * 6,
-    *[C_DOUBLE] * 5,
-    C_ADDRESS,
-    C_ADDRESS,
-    C_DOUBLE,
-    C_INTEGER,
-    C_ADDRESS,
-    C_ADDRESS,
-    C_INTEGER,
-)
+LOOP_ARGUMENT_TYPES = {P: ctypes.c_void_p, types.CPointer(types.uint8): ctypes.c_void_p, F: ctypes.c_double,
+                       types.int64: ctypes.c_int64}  # fmt: skip
+LOOP_POINTER_TYPE = ctypes.CFUNCTYPE(ctypes.c_double, *(LOOP_ARGUMENT_TYPES[t] for t in LOOP_SIGNATURE.args))
 
 
 @cache

@@ -100,15 +100,6 @@ def neighbouring_cells(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArr
     return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
 
-def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
-    """Differences of the potentials over every axis step, of bearings (r, p) and shaft (r,); scales (p,)."""
-    phi, shaft = potentials(plane, grid.centres)
-    here, there = neighbouring_cells(grid.shape)
-    sigma = grid.widths * np.array(grid.shape) / (2.0 * LIMITS.grid_half_width_rms)
-    scale = np.array([sigma[i] ** (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers])
-    return phi[there] - phi[here], shaft[there] - shaft[here], scale
-
-
 def _weighted_least_squares(design: Array, response: Array, weight: Array) -> Array:
     """(p,) coefficients. design : (r, p). response, weight : (r,)."""
     root = np.sqrt(weight)
@@ -147,8 +138,10 @@ def _density_slopes(
     temperature : J; the coefficient of the shaft is then ks/T. None: unknown, it is fitted.
     """
     here, there = neighbouring_cells(grid.shape)
-    terms, spring, scale = _potential_differences(plane, grid)
-    terms = terms / scale
+    sigma = grid.widths * np.array(grid.shape) / (2.0 * LIMITS.grid_half_width_rms)
+    scale = np.array([sigma[i] ** (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers])
+    phi, springs = potentials(plane, grid.centres)
+    terms, spring = (phi[there] - phi[here]) / scale, springs[there] - springs[here]  # over every step along an axis
     unit = scale[0]  # of the shaft term
     free = temperature is None and plane.scale_from_shaft
     known = 0.0 if free or temperature is None else plane.ks / temperature

@@ -7,7 +7,7 @@ from .severity import ChannelSeverity, severity
 from .spikes import spike_rows, surely_without_spikes
 from .survey import survey_record
 from .usable import UsableRecord, level_parameter, record_messages, usable_record, without_spikes
-from .zones import ZoneLimits, iso_zone, zone_limits
+from .zones import iso_zone, zone_limits
 
 __all__ = [
     "CLIPPED_CODE",
@@ -16,7 +16,6 @@ __all__ = [
     "RecordFinding",
     "RecordSurvey",
     "UsableRecord",
-    "ZoneLimits",
     "clipping_level",
     "iso_zone",
     "level_parameter",
