@@ -42,11 +42,10 @@ def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None
     """N of an amplitude times x^n; None of any other law."""
     if len(parameters) != 1 or not parameters[0].linear or law_state(force, parameters, False) != "displacement":
         return None
-    one, two, opposite = (_forces(force, parameters, np.eye(6)[:1] * x)[:, 0] for x in (1.0, 2.0, -1.0))
-    n = round(float(np.log2(abs(two[0] / one[0])))) if one[0] * two[0] > 0.0 else 0
-    is_power = n > 0 and _same(two, one * 2.0**n) and _same(opposite, one * (-1.0) ** n)
+    one, two = (_forces(force, parameters, np.eye(6)[:1] * x)[0, 0] for x in (1.0, 2.0))
+    n = round(float(np.log2(two / one))) if one * two > 0.0 else 0
     states = _states(parameters, False)
-    return n if is_power and _same(_forces(force, parameters, states)[:, 0], one[0] * states[:, 0] ** n) else None
+    return n if n > 0 and _same(_forces(force, parameters, states)[:, 0], one * states[:, 0] ** n) else None
 
 
 @cache

@@ -60,9 +60,8 @@ def channel_response(model: Model, place: str, w: Array) -> Complexes:
     """(f,) response that is undone in the motion channel at a place, at w (f,) rad/s: its sensor's faults."""
     out = np.ones(w.shape, complex)
     for use in model.effects:
-        if use.name not in RESPONSE_EFFECTS:
-            continue
-        out *= fault_response(use.name, _numbers(use, model, place), w)
+        if use.name in RESPONSE_EFFECTS:
+            out *= fault_response(use.name, _numbers(use, model, place), w)
     return out
 
 

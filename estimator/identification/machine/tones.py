@@ -65,8 +65,7 @@ def lines_to_leave_out(
     def is_harmonic(line: Line) -> bool:
         if line.half_width_hz > LIMITS.max_wander_rel * line.hz:
             return False
-        of_shaft = speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS
-        return of_shaft or mains is not None and _is_mains(line, mains)
+        return shaft_order(line, speed) in STRONG_ORDERS or mains is not None and _is_mains(line, mains)
 
     known = [replace(line, has_cause=is_harmonic(line)) for line in lines]
     return [line for line in known if line.narrow or not band[0] < line.hz < band[1] or line.has_cause]
@@ -167,7 +166,7 @@ def without_strike_lines(
     return [
         line
         for line in lines
-        if (speed is not None and shaft_order(line.hz, line.half_width_hz, speed) in STRONG_ORDERS)
+        if shaft_order(line, speed) in STRONG_ORDERS
         or not any(_is_of_train(line, train.frequency_hz, turn_hz) for train in strikes)
     ]
 
@@ -176,10 +175,8 @@ def _is_of_train(line: Line, train_hz: float, shaft_hz: float) -> bool:
     """Whether a line is a harmonic of a train or a sideband of one."""
     for side in np.arange(-LIMITS.strike_sidebands, LIMITS.strike_sidebands + 1) * shaft_hz:
         k = round((line.hz - side) / train_hz)
-        if (
-            k >= 1
-            and abs(line.hz - side - k * train_hz) <= line.half_width_hz + LIMITS.strike_tolerance_rel * k * train_hz
-        ):
+        reach = line.half_width_hz + LIMITS.strike_tolerance_rel * k * train_hz
+        if k >= 1 and abs(line.hz - side - k * train_hz) <= reach:
             return True
     return False
 
@@ -236,18 +233,20 @@ def _is_same(a: Named, b: Named) -> bool:
 
 def _name(line: Line, speed: ShaftSpeed | None, mains: float | None) -> tuple[ToneKind, float | None]:
     """Kind and order of a line. mains : Hz of the grid; None where the record shows none."""
-    if speed is not None and (k := shaft_order(line.hz, line.half_width_hz, speed)):
+    if k := shaft_order(line, speed):
         return "order", float(k)
     order = None if speed is None else line.hz / speed.hz
     return ("mains" if mains is not None and _is_mains(line, mains) else "other"), order
 
 
-def shaft_order(hz: float, half_width_hz: float, speed: ShaftSpeed) -> int:
-    """The shaft order that a line at a frequency is, 0 for none. half_width_hz : resolution of the record."""
-    k = round(hz / speed.hz)
-    tolerance = half_width_hz + 2.0 * k * speed.sd_hz
+def shaft_order(line: Line, speed: ShaftSpeed | None) -> int:
+    """The shaft order that a line is; 0 for none, and where the speed is unknown."""
+    if speed is None:
+        return 0
+    k = round(line.hz / speed.hz)
+    tolerance = line.half_width_hz + 2.0 * k * speed.sd_hz
     limit = LIMITS.max_strong_order_tolerance if k in STRONG_ORDERS else LIMITS.max_order_tolerance
-    near = k >= 1 and abs(hz - k * speed.hz) <= tolerance and tolerance <= limit * speed.hz
+    near = k >= 1 and abs(line.hz - k * speed.hz) <= tolerance and tolerance <= limit * speed.hz
     return k if near else 0
 
 
@@ -287,6 +286,6 @@ def _multiples(lines: Sequence[Line], hz: float) -> set[int]:
 
 def _mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
     """The grid of whose multiples the record shows more, Hz; None without any that is no order of the shaft."""
-    free = [line for line in lines if speed is None or not shaft_order(line.hz, line.half_width_hz, speed)]
+    free = [line for line in lines if not shaft_order(line, speed)]
     evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in LIMITS.mains_hz])
     return LIMITS.mains_hz[int(np.argmax(evidence))] if evidence.any() else None

@@ -165,7 +165,7 @@ def moments(y: Array) -> Moments:
     return replace(own, kurtosis=fourth / count / power**2, crest=peak / sd)
 
 
-def summarise(y: Array, kind: str, rate_hz: float, reach_hz: float, own: Moments) -> ChannelSummary:
+def summarise(y: Array, kind: str, rate_hz: float, reach_hz: float, m: Moments) -> ChannelSummary:
     """Summary of a channel.
 
     Parameters
@@ -178,10 +178,9 @@ def summarise(y: Array, kind: str, rate_hz: float, reach_hz: float, own: Moments
         Sampling rate, Hz.
     reach_hz : float
         Frequency up to which a level is known, Hz.
-    own : Moments
+    m : Moments
         Of these samples.
     """
-    m = own
     if not m.count:
         return ChannelSummary()
     if not m.crest:
