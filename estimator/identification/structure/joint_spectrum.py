@@ -205,8 +205,6 @@ class JointSpectrum:
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
         nats, T, signal, W, R = spectral_model(Z, s, S, N, spectra.psd, spectra.n)
-        if np.isnan(nats):
-            raise np.linalg.LinAlgError("the spectral matrix of the model is not positive")
         prior = 0.5 * float(np.sum(((values.damping - self.damping0) / LIMITS.damping_prior_sd) ** 2))
         prior += 0.5 * float(np.einsum("is,st,it->", values.force, self._spline_prior(), values.force))
         return JointPoint(
