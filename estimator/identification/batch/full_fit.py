@@ -277,7 +277,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
     point = fit_record(model, prepare(model, y, rate_hz))
     shape_names = {u.name for u in uses if u.name in FORCE_SHAPES}
     for _ in range(LIMITS.resolving_rounds if shape_names else 0):  # shapes and laws distort each other
-        shape = excitation_shapes(bare, point.data.places, point.data.f_hz, FORCE_SHAPES)
+        shape = excitation_shapes(bare, point.data.places, point.data.f_hz)
         flat = replace(point, data=replace(point.data, excitation_shape=shape))
         renewed, found_again = with_resolved_parameters(
             model, shape_names, spectral_shape.find_spectral_shapes(bare, flat), flat

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.errors import ModelError
-from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes, shaft_response
+from estimator.likelihood.motion.known_spectra import excitation_shapes, shaft_response
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background, all_under_bearing
 from estimator.model.rig import Model
@@ -61,7 +61,7 @@ def spectral_problem(
     shaft = _shaft_at(model, point, own, spectra.f_hz)
     Z0 = shaft - _inertia(model, point, own, spectra.f_hz) + across[..., 0] + s[:, None, None] * across[..., 1]
     laws = _law_response(point, spectra.f_hz)[:, tangents_of]
-    shape = excitation_shapes(model, data.places, spectra.f_hz, FORCE_SHAPES)[own].T
+    shape = excitation_shapes(model, data.places, spectra.f_hz)[own].T
     mass = cap_masses(model, point)[own]
     _, c = _start_stiffness_and_damping(point)
     damping0 = np.log(c[tangents_of] * mass / data.mass[tangents_of])

@@ -21,7 +21,7 @@ from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
 from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.identification.finding import OTHER_BEARING, UNKNOWN_EFFECT, Finding, is_cause_of_spectrum
-from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
+from estimator.likelihood.motion.known_spectra import excitation_shapes
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.whitening.sensor_noise import force_correlation
 from estimator.model.rig import MOTION_UNITS, Model
@@ -51,7 +51,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     out: list[Finding] = []
     noise = np.zeros(len(data.places))
     # shapes taken from the measured spectra, which the model does not have
-    seen = data.excitation_shape / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
+    seen = data.excitation_shape / excitation_shapes(model, data.places, data.f_hz)
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > LIMITS.shape_tolerance_rel * seen.mean(axis=1)).tolist())
     for i, place in enumerate(data.places):
         if data.measured_force_psd[i] > 0.0:  # the residual of a measured force is noise

@@ -14,9 +14,8 @@ from estimator.signals.channel_response import channel_response, measured_force_
 
 from .force_balance import shaft_notches
 
-# effects that shape a spectrum: of the force, or of the motion where the record is not corrected; the former alone
-SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None)
-FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind == "excitation")
+# effects that shape the spectrum of the force
+FORCE_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None and e.kind == "excitation")
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -45,14 +44,12 @@ def undone_noise_gain(model: Model, places: tuple[str, ...], f_hz: Array) -> Arr
     return np.array([1.0 / np.abs(channel_response(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
-def excitation_shapes(
-    model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = SPECTRAL_SHAPES
-) -> Array:
-    """(places, f) spectral shape of the excitation by the effects `names` of the model; 1 where a force is measured."""
+def excitation_shapes(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
+    """(places, f) spectral shape of the excitation by the effects of the model; 1 where a force is measured."""
     known = measured_force_places(model)
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:
-        factor = CATALOGUE[use.name].spectral_factor if use.name in names else None
+        factor = CATALOGUE[use.name].spectral_factor if use.name in FORCE_SHAPES else None
         if factor is None:
             continue
         for i, place in enumerate(places):

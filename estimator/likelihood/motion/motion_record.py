@@ -295,18 +295,18 @@ def fold_record(data: MotionRecord, f: int) -> MotionRecord:
     return data.at(joined_blocks(here * data.block, data.block), **data.of_blocks(here))
 
 
-def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:
-    """Record with displacement, velocity, time and phase at `by` times the rate; other fields are unchanged.
+def oversampled(data: MotionRecord) -> MotionRecord:
+    """Record with displacement, velocity, time and phase at `law_grid_factor` times the rate, all else unchanged.
 
     Neighbouring blocks are interpolated as one, as a law with memory takes a jump between blocks for motion.
     """
-    stretches = data.stretches
+    stretches, by = data.stretches, LIMITS.law_grid_factor
 
     def joined(of: Callable[[Array], Array], z: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([of(z[rows]).astype(z.dtype, copy=False) for rows in stretches])
 
     def smooth(z: Array) -> Array:
-        return interpolated(np.pad(z, HALF_SUPPORT_ROWS, mode="edge"), by)
+        return interpolated(np.pad(z, HALF_SUPPORT_ROWS, mode="edge"))
 
     def straight(z: Array) -> Array:
         step = np.diff(z, append=2 * z[-1] - z[-2])

@@ -28,7 +28,7 @@ from estimator.signals.shaft_angle import measured_phase
 
 from .force_balance import motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
-from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
+from .known_spectra import excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
 from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_of_sixths, time_folds, without_lines
 
@@ -166,7 +166,7 @@ def _band_limited(model: Model, y: Array, columns: list[int], rate_hz: float) ->
 def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
     """The fields of a record that the model gives by frequency."""
     places = model.places
-    shaft, shapes = shaft_response(model, places, f_hz), excitation_shapes(model, places, f_hz, FORCE_SHAPES)
+    shaft, shapes = shaft_response(model, places, f_hz), excitation_shapes(model, places, f_hz)
     if model.background is not None:
         np.einsum("fii->fi", shaft)[...] += model.background.attached_stiffness(places, 2j * np.pi * f_hz)
         shapes = shapes * model.background.force_shapes(places, f_hz)

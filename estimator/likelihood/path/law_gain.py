@@ -13,7 +13,6 @@ from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
 from estimator.likelihood.thresholds import LIMITS
-from estimator.likelihood.whitening.whitening import WhitenedRegressors
 from estimator.model.effect import EffectParameter
 
 from .path_fit import PathFit
@@ -21,12 +20,6 @@ from .subproblem import Subproblem, subproblem
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(TIME_FOLDS)
-
-
-def whitened_law(point: WorkingPoint, placed: LocatedLaw) -> WhitenedRegressors | None:
-    """Whitened regressors of the amplitudes, independent of those of the model; None where none of them is."""
-    kept = independent_regressors(point, placed, linear_only=True)
-    return point.whitening.whiten(kept) if kept else None
 
 
 def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
@@ -66,16 +59,14 @@ class BaseFit(NamedTuple):
     level: float
 
 
-def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> BaseFit:
+def base_fit(point: WorkingPoint, places: tuple[int, ...]) -> BaseFit:
     """The fit of the model alone at these places: what a law there is compared with."""
     plain = subproblem(point, places)
-    fit = plain.fit(steps=steps)
+    fit = plain.fit(steps=3)
     return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
 
 
-def fitted_gain(
-    point: WorkingPoint, placed: LocatedLaw, steps: int = 3, against: BaseFit | None = None
-) -> LawGain | None:
+def fitted_gain(point: WorkingPoint, placed: LocatedLaw, against: BaseFit | None = None) -> LawGain | None:
     """The gain of a law at given searched parameters, its amplitudes within their limits.
 
     An amplitude that most such laws do without is left out where it gains less than it costs: beside it the others are
@@ -85,17 +76,17 @@ def fitted_gain(
     `base_fit`; None: it is computed.
     """
     try:
-        extra = whitened_law(point, placed)
+        kept = independent_regressors(point, placed, linear_only=True)
     except NotFiniteError:
         return None
-    if extra is None:
+    if not kept:
         return None
-    problem = subproblem(point, placed.at, extra)
-    plain, base, level = against or base_fit(point, placed.at, steps)
+    problem = subproblem(point, placed.at, point.whitening.whiten(kept))
+    plain, base, level = against or base_fit(point, placed.at)
     declared = {placed.name(k): q for k, q in enumerate(placed.effect.parameters)}
     spread: dict[str, float] = {}
     while problem.extra:
-        fit = problem.fit(steps=steps)
+        fit = problem.fit(steps=3)
         spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
         inside = tuple(n for n in problem.extra if _is_needed(declared[n], *fit.value(n)))
         if inside == problem.extra:

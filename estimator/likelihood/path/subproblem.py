@@ -50,16 +50,17 @@ class Subproblem:
         names = tuple(f"sum.{k}" for k in range(len(weights)))
         return replace(self, gram=self.gram.combined(names, weights), extra=names)
 
-    def fit(
-        self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30, start: Array | None = None
-    ) -> PathFit:
-        """The maximum of the likelihood on some folds; None: all. ridge : prior information of the trial regressors,
-        scaled. start : (regressors,) scaled; None: 0."""
+    def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
+        """The maximum of the likelihood on some folds; None: all.
+
+        ridge : prior information of the trial regressors, scaled.
+        """
         penalty = np.concatenate([self.prior_information, np.full(len(self.extra), ridge)])
         folds = np.arange(TIME_FOLDS) if folds is None else folds
         return fit_increments(
-            self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, LIMITS.min_information_share
-        )
+            self.gram, self.jacobian, folds, self.blocks, ridge=penalty, steps=steps,
+            min_information=LIMITS.min_information_share,
+        )  # fmt: skip
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
         """Log-likelihood of a fit on some folds, nats."""

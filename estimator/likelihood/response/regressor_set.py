@@ -228,11 +228,11 @@ class Spans:
         return self._made[i]
 
 
-def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regressor | None:
+def orthogonalised(term: Regressor, spans: Spans) -> Regressor | None:
     """The regressor less its projection on the base, series and tangent alike.
 
     The likelihood is the same function of the new parameter; nearly equal regressors keep their difference in single
-    precision. None if less than `least` of the rms is left.
+    precision. None if less than 1e-4 of the rms is left.
     """
     series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
     before = after = 0.0
@@ -248,7 +248,7 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
         series[i] = rest
         before += float(z @ z)
         after += float(rest @ rest)
-    if not after > least**2 * before:
+    if not after > 1e-8 * before:
         return None
     n = next(iter(series.values())).size
     return replace(
