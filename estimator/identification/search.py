@@ -60,8 +60,8 @@ def _without_lines(found: Sequence[Finding], model: Model, point: WorkingPoint) 
     def spectrum(i: int) -> Spectrum:
         force = point.force[i].copy()
         for wave in waves:
-            if (own := wave.at(i, data.t, data.phase)) is not None:
-                force -= own
+            if i in wave.tables:
+                force -= wave.at(i, data.t, data.phase)
         return point.whitening.spectrum(i, force)
 
     hit = sorted({i for wave in waves for i in wave.tables})

@@ -131,7 +131,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         full = _with_background(full, replace(model, background=background), y, rate_hz)
     model, point = with_judged_lines(full.model, full.point)
     full = replace(full, model=model, point=point)
-    _refuse_without_resonance(full.point)
+    refuse_without_resonance(full.point)
     data = full.point.data
     notes = (
         *shortening_messages(data, y),
@@ -218,29 +218,17 @@ def stiffness_and_damping_held(point: WorkingPoint) -> tuple[Array, Array]:
     return k, c
 
 
-def _refuse_without_resonance(point: WorkingPoint) -> None:
+def refuse_without_resonance(point: WorkingPoint) -> None:
     """Raise NoResonanceError if a place without a measured force does not resonate in the band."""
-    data = point.data
+    data, (low, high) = point.data, point.data.band
     k, c = stiffness_and_damping_held(point)
-    for i, place in enumerate(() if data.measured_force else data.places):
-        refuse_without_resonance(place, float(data.mass[i]), float(c[i]), float(k[i]), data.band)
-
-
-def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
-    """Whether an oscillator of m (kg), c (N s/m), kL (N/m) resonates inside the band (Hz)."""
-    low, high = band
-    f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
-    return bool(1.02 * low < f0 < 0.98 * high and c <= 1.8 * np.sqrt(kL * m))
-
-
-def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
-    """Raise NoResonanceError if a place of m (kg), c (N s/m), kL (N/m) does not resonate inside the band (Hz)."""
-    if not resonates(m, c, kL, band):
-        low, high = band
+    f0 = np.sqrt(np.maximum(k, 0.0) / data.mass) / (2 * np.pi)
+    resonates = (1.02 * low < f0) & (f0 < 0.98 * high) & (c <= 1.8 * np.sqrt(np.maximum(k, 0.0) * data.mass))
+    for i in () if data.measured_force else np.flatnonzero(~resonates):
         raise NoResonanceError(
-            f"the fit finds no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the "
-            "resonance of the bearing alone, and check that the channel is the bearing's",
-            place,
+            f"the fit finds no resonance of {data.places[i]} inside the band {low:g}-{high:g} Hz: choose a band around "
+            "the resonance of the bearing alone, and check that the channel is the bearing's",
+            data.places[i],
         )
 
 

@@ -81,12 +81,9 @@ def _with_known_lines(model: Model, lines: Model, bin_hz: float) -> Model:
 
 def _check(point: WorkingPoint) -> None:
     """Raise DataError where a place does not resonate in the band, or the record is too short for its resonance."""
-    data = point.data
-    k, c = stiffness_and_damping_held(point)
-    for i, place in enumerate(data.places):
-        m, damping = float(data.mass[i]), float(c[i])
-        if not data.measured_force:
-            refuse_without_resonance(place, m, max(damping, 0.0), float(k[i]), data.band)
+    refuse_without_resonance(point)
+    data, (_, c) = point.data, stiffness_and_damping_held(point)
+    for place, m, damping in zip(data.places, data.mass.tolist(), c.tolist(), strict=True):
         needed_s = LIMITS.min_correlation_times * 2 * m / damping if damping > 0.0 else 0.0
         if data.seconds < needed_s:
             raise DataError(

@@ -193,13 +193,10 @@ class PeriodicForce:
 
     def series(self, t: Array, phase: Array) -> dict[int, Array]:
         """(n,) N per unit by place index, at t in s and phase in rad."""
-        made = {i: self.at(i, t, phase) for i in self.tables}
-        return {i: z for i, z in made.items() if z is not None}
+        return {i: self.at(i, t, phase) for i in self.tables}
 
-    def at(self, i: int, t: Array, phase: Array) -> Array | None:
-        """(n,) N per unit at place i, at t in s and phase in rad; None where the effect does not act."""
-        if i not in self.tables:
-            return None
+    def at(self, i: int, t: Array, phase: Array) -> Array:
+        """(n,) N per unit at place i, where the effect acts, at t in s and phase in rad."""
         return np.asarray(_along(self.one.angle(t, phase), self.tables[i]), dtype=np.float64)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from estimator.signals.band_limited_record import BandLimitedRecord
 from estimator.signals.channel_response import anti_alias_response, corrected_record
 from estimator.signals.shaft_angle import measured_phase
 
-from .force_balance import motion_channels, shaft_terms
+from .force_balance import force_channels, motion_channels, shaft_terms
 from .harmonics import periodic_amplitudes, periodic_series
 from .known_spectra import excitation_shapes, fitted_bins, shaft_response, undone_noise_gain
 from .linear_memory import filtered_series
@@ -75,8 +75,8 @@ def motion_record(
     part. Raises DataError if fewer than 2 TIME_FOLDS blocks are valid, or a channel does not move.
     """
     y, places = check_shape(model, y), model.places
-    moving, shaken = _columns(model, y)
-    columns = [*moving, *shaken.values()]
+    moving, forces = _columns(model, y)
+    columns = [*moving, *forces.values()]
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     filtered = _band_limited(model, y, columns, rate_hz)
@@ -95,10 +95,10 @@ def motion_record(
     phase = speed * t if angle is None else angle[rows]
     a, v, x, u = motion.a, motion.v[:P], motion.x[:P], motion.u
     below = None if motion.slow is None else motion.slow[:P]
-    measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
-    slow = _below(model, y[rows][:, [*shaken.values()]].T, list(shaken), rate_hz) if shaken else None
+    measured = {i: a[P + k] for k, i in enumerate(forces)}
+    slow = _below(model, y[rows], forces, rate_hz) if forces else None
     mass = _masses(model, a, v, x, measured)
-    loose = {p for p in (*shaken, *free_masses) if model.cap_mass(p) is None}
+    loose = {p for p in (*(places[i] for i in forces), *free_masses) if model.cap_mass(p) is None}
     known = inertia_and_shaft(rotor := rotor_of(model), mass, (a[:P], v, x), u)
     driven = np.zeros(P)
     for i, force in measured.items():
@@ -107,8 +107,6 @@ def motion_record(
     rms = np.array([map_threads(np.std, z) for z in (x, v, a[:P])])
     if (periodic := periodic_series(model, places, t, phase, rate_hz)) is not None:
         known -= periodic
-    if model.background is not None:
-        bring_in_background(model.background, places, (x, v, known), _rows_of(stretches), rate_hz)
     bins = fitted_bins(model, rate_hz, block)
     _refuse_only_lines(model, bins.size * rate_hz / block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
@@ -124,6 +122,8 @@ def motion_record(
         held=_held_linear(model), free_inertia={i: a[i].copy() for i, p in enumerate(places) if p in loose},
         background=model.background, **_spectra_of_model(model, f),
     )  # fmt: skip
+    if model.background is not None:
+        bring_in_background(model.background, places, (x, v, known), record.stretches, rate_hz)
     return record if model.deflects_at_lines or not record.lines else without_lines(record)
 
 
@@ -173,18 +173,16 @@ def _spectra_of_model(model: Model, f_hz: Array) -> dict[str, Any]:
     return {"shaft": shaft, "excitation_shape": shapes, "undone_noise_gain": undone_noise_gain(model, places, f_hz)}
 
 
-def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
-    """Column of the motion channel of each place, and columns of the force channels by place.
+def _columns(model: Model, y: Array) -> tuple[list[int], dict[int, int]]:
+    """Column of the motion channel of each place, and columns of the force channels by index of the place.
 
     Raises DataError if a channel does not move.
     """
-    moving = motion_channels(model)
-    forces = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
-    shaken = {p: forces[p] for p in model.places if p in forces}
-    for k in (*moving, *shaken.values()):
+    moving, forces = motion_channels(model), force_channels(model)
+    for k in (*moving, *forces.values()):
         finite = np.isfinite(y[:, k])
         check_moves(model.channels[k].name, y[:, k] if finite.all() else y[finite, k])
-    return moving, shaken
+    return moving, forces
 
 
 def _too_short(used: Array, low_hz: float, rate_hz: float, block: int, half: int) -> str:
@@ -237,12 +235,6 @@ def inertia_and_shaft(
     return known
 
 
-def _rows_of(stretches: list[slice]) -> list[slice]:
-    """Rows of stretches of a record laid end to end."""
-    ends = np.cumsum([part.stop - part.start for part in stretches]).tolist()
-    return [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
-
-
 def bring_in_background(
     background: Background, places: tuple[str, ...], series: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
     rows_of_stretches: list[slice], rate_hz: float,
@@ -264,11 +256,11 @@ def bring_in_background(
                     z[i, rows] = filtered_series(lambda w: own.deflection(1j * w), z[i, rows], rate_hz)
 
 
-def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Series:
-    """(places, n) N, measured forces (forces, n) below the band at their places; 0 elsewhere."""
-    out = np.zeros((len(model.places), forces.shape[1]), np.float32)
-    for place, force in zip(at, forces, strict=True):
-        out[model.places.index(place)] = below_band_force(force, rate_hz, model.band)
+def _below(model: Model, y: Array, forces: Mapping[int, int], rate_hz: float) -> Series:
+    """(places, n) N, measured forces below the band, 0 without one. forces : their columns of y (n, channels)."""
+    out = np.zeros((len(model.places), len(y)), np.float32)
+    for i, column in forces.items():
+        out[i] = below_band_force(y[:, column], rate_hz, model.band)
     return out
 
 
@@ -325,10 +317,10 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
             there = np.isfinite(y[:, i])
             check_moves(channel.name, y[:, i] if there.all() else y[there, i])
     for place in model.places:
-        for key, sign in (("kL", "positive"), ("c", "positive")):
+        for key in ("kL", "c"):
             setting = model.linear.get(place, {}).get(key)
             if setting is not None and setting.value is not None and setting.value < 0:
                 raise DataError(
-                    f"the model is unstable: {place}.{key} = {setting.value:g}; give a {sign} value or none"
+                    f"the model is unstable: {place}.{key} = {setting.value:g}; give a positive value or none"
                 )
     return y

@@ -66,10 +66,7 @@ class Fluctuation:
         data = decimated_record(self.data, by)
         g = np.ascontiguousarray(self.g[:, ::by])
         total = np.ascontiguousarray(self.total[:, ::by])
-        return Fluctuation(
-            data=data, place=self.place, total=total, K=_spectra(total, data, g.shape[1]), g=g, whole=self.whole,
-            only=self.only,
-        )  # fmt: skip
+        return replace(self, data=data, total=total, K=_spectra(total, data, g.shape[1]), g=g)
 
 
 def _spectra(tangents: NDArray[np.floating], data: MotionRecord, lags: int) -> TangentSpectra:
