@@ -60,7 +60,7 @@ class Thresholds:
     # motion/located_law
     law_rows_per_piece: int = 1 << 15  # rows evaluated at a time: they stay in the cache
     max_force_n: float = 1e12  # more is divergence, and has no square in single precision
-    characters_held: int = 1024  # at most, in the memory of `_character`
+    characters_held: int = 1024  # answers of `_character`, at most
 
     # motion/memory_law
     memory_grid_factor: int = 2  # rate of the grid for the states over the sampling rate

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -177,25 +178,17 @@ def own_response(response: NDArray[np.complex128] | complex, i: int, data: Motio
 
 def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bool:
     """Whether a law at place i has to be evaluated on a finer grid: it jumps, or its harmonics alias."""
-    return _character(effect, p, data.sizes(i), data.rate_hz - data.band[1])[1]
+    return _character(effect, tuple(p), tuple(data.sizes(i)), data.rate_hz - data.band[1])[1]
 
 
-_characters: dict[tuple[int, bytes, bytes, float], tuple[Effect, NDArray[np.bool_], bool]] = {}
-
-
-def _character(effect: Effect, p: Array, size: Array, folding_hz: float) -> tuple[NDArray[np.bool_], bool]:
-    """Which of x, v, xo, vo a law reads, and whether it needs a finer grid. size : (4,) rms of the four.
-
-    It is remembered: pieces of a stream ask for the same law again and again.
-    """
-    key = id(effect), p.tobytes(), size.tobytes(), folding_hz
-    if (known := _characters.get(key)) is None:
-        reads = reads_states(effect, p, np.maximum(size, 1e-300))
-        sharp = has_jump(effect, p, size) or harmonics_alias(effect, p, size, folding_hz)
-        if len(_characters) >= LIMITS.characters_held:
-            _characters.clear()
-        known = _characters[key] = effect, reads, sharp  # holds the effect, so that its id stays its own
-    return known[1:]
+@lru_cache(maxsize=LIMITS.characters_held)  # pieces of a stream ask for the same law again and again
+def _character(
+    effect: Effect, p: tuple[float, ...], size: tuple[float, ...], folding_hz: float
+) -> tuple[NDArray[np.bool_], bool]:
+    """Which of x, v, xo, vo a law reads, and whether it needs a finer grid. size : (4,) rms of the four."""
+    values, rms = np.array(p), np.array(size)
+    reads = reads_states(effect, values, np.maximum(rms, 1e-300))
+    return reads, has_jump(effect, values, rms) or harmonics_alias(effect, values, rms, folding_hz)
 
 
 def _along(
@@ -208,7 +201,8 @@ def _along(
     difference is taken have the same one; None: p.
     """
     o, n = data.other(i), data.x.shape[1]
-    reads, jumps = _character(effect, p if like is None else like, data.sizes(i), data.rate_hz - data.band[1])
+    asked = p if like is None else like
+    reads, jumps = _character(effect, tuple(asked), tuple(data.sizes(i)), data.rate_hz - data.band[1])
     sharp = tangents is None and jumps
     zero, states = np.zeros(n), product((i, o), (data.denoised_displacement, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
