@@ -19,7 +19,6 @@ from estimator.likelihood.response.regressor_set import (
     Regressor,
     Spans,
     UnitRegressors,
-    add_to,
     in_single_precision,
     linear_regressors,
     parameter_scale,
@@ -133,9 +132,7 @@ def _forces(
     lin = np.stack([data.mass, kL, c], axis=1)
 
     def add(i: int) -> None:
-        F[i] = data.known[i]
-        add_to(F[i], kL[i], data.x[i])
-        add_to(F[i], c[i], data.v[i])
+        F[i] = data.known[i] + kL[i] * data.x[i] + c[i] * data.v[i]
         for use, own in zip(uses, made, strict=True):
             if i not in use.at:
                 continue
@@ -144,13 +141,13 @@ def _forces(
             if amplitudes and use.effect.kind != "shaft" and all(use.name(k) in units for k in amplitudes):
                 for k in amplitudes:
                     unit = units[use.name(k)]
-                    add_to(F[i], use.p[k], unit.series[i])
+                    F[i] += use.p[k] * unit.series[i]
                     D[i] += use.p[k] * unit.tangent[i]
                     if i in unit.memory:
                         M[:, i] += use.p[k] * unit.memory[i].T
                 continue
             f, slope, memory = law_along_record(use, data, i, lin)
-            F[i] += f  # add_to would be compiled once more, for float64, in the midst of a live session
+            F[i] += f
             D[i] += slope
             if memory is not None:
                 M[:, i] += memory.T

@@ -24,7 +24,7 @@ class Fluctuation:
 
     data : the part of the record that is used. place : index of the place. total : (2, n) sum of the tangents along x
     and v, less its mean. K : spectra of total. g : (2, lags) corrected impulse response of x and v. whole : (bins,)
-    N/m, self-energy of all laws together. only : the law if there is one only; None otherwise.
+    N/m, self-energy of all laws together.
     """
 
     data: MotionRecord
@@ -33,12 +33,6 @@ class Fluctuation:
     K: TangentSpectra
     g: Array
     whole: Complexes
-    only: LocatedLaw | None = None
-
-    def per_unit(self, placed: LocatedLaw, k: int) -> Complexes | None:
-        """(bins,) N/m, self-energy per unit of parameter k if that is the only amplitude of the only law; else None."""
-        amplitudes = [j for j, q in enumerate(placed.effect.parameters) if q.linear]
-        return self.whole / placed.p[k] if placed is self.only and amplitudes == [k] and placed.p[k] else None
 
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit, self-energy of a law with tangents (2, n) along x and v on `data`."""
@@ -107,9 +101,8 @@ def fluctuations(
         K = _spectra(total, part, lags)
         C = tangent_covariance(K, K, lags)
         g = second_order_response(C, dt, mean[i])
-        only = own[i][0] if len(own[i]) == 1 else None
         if g is None:
             return None
-        return Fluctuation(data=part, place=i, total=total, K=K, g=g, whole=self_energy(C, g, dt, data.f_hz), only=only)
+        return Fluctuation(data=part, place=i, total=total, K=K, g=g, whole=self_energy(C, g, dt, data.f_hz))
 
     return tuple(map_threads(at, range(len(mean))))

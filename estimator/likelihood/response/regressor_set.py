@@ -7,7 +7,6 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
@@ -107,8 +106,7 @@ def with_second_order(
         for i in placed.at:
             if (here := fluctuations[i]) is not None:
                 ends = _ends(placed, k, here.data)
-                if (own := here.per_unit(placed, k)) is None:
-                    own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
+                own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
                 memory[i] = memory.get(i, 0.0) - own_response(own, i, here.data)
         out.append(replace(term, memory=memory))
     return out
@@ -198,13 +196,6 @@ class Span:
     memory: Complexes | None
 
 
-@njit(cache=True, nogil=True)
-def add_to(z, weight, other):  # type: ignore[no-untyped-def]
-    """z += weight * other, (n,), without memory for the product: that takes longer than the sum."""
-    for i in range(z.size):
-        z[i] += weight * other[i]
-
-
 def span_at(base: Sequence[Regressor], i: int) -> Span:
     """Span of the base regressors at place i, without a mass: its response is no tangent."""
     own = tuple(b for b in base if i in b.series and b.mass_at is None)
@@ -241,7 +232,7 @@ def orthogonalised(term: Regressor, spans: Spans) -> Regressor | None:
         weights = np.linalg.lstsq(base.gram, base.part @ z[:: LIMITS.projection_stride], rcond=1e-10)[0]
         rest = z.astype(np.float64)
         for weight, b in zip(weights, base.base, strict=True):
-            add_to(rest, -weight * b.scale, b.series[i])
+            rest -= weight * b.scale * b.series[i]
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         if base.memory is not None:
             memory[i] = np.asarray(memory.get(i, 0.0) - np.tensordot(weights, base.memory, 1), np.complex128)

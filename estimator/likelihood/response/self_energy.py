@@ -19,7 +19,6 @@ Novikov, Functionals and the random-force method in turbulence theory, JETP 20, 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
@@ -42,22 +41,13 @@ def tangent_spectra(tangents: NDArray[np.floating], lags: int) -> TangentSpectra
     )
 
 
-@njit(cache=True, nogil=True)
-def _cross(Z, K):  # type: ignore[no-untyped-def]
-    """(f,) mean over the pieces of Z conj(K), both (pieces, f)."""
-    out, each = np.zeros(Z.shape[1], np.complex128), 1.0 / Z.shape[0]
-    for p in range(Z.shape[0]):
-        for f in range(out.size):
-            out[f] += each * Z[p, f] * K[p, f].conjugate()
-    return out
-
-
 def tangent_covariance(Z: TangentSpectra, K: TangentSpectra, lags: int) -> Array:
     """(2, 2, lags) covariance <kappa_a(t + lag) K_b(t)>, a and b along x and v, from spectra by as many lags."""
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
         if (z := Z[a]) is not None and (k := K[b]) is not None:
-            C[a, b] = np.fft.irfft(_cross(z, k), 2 * lags)[:lags] / (lags - np.arange(lags))
+            cross = (z * k.conj()).mean(axis=0, dtype=np.complex128)
+            C[a, b] = np.fft.irfft(cross, 2 * lags)[:lags] / (lags - np.arange(lags))
     return C
 
 
