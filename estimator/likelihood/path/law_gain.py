@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,17 +22,8 @@ ALL_FOLDS = np.arange(TIME_FOLDS)
 
 def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
     """The regressors of a law on trial, without what the regressors of the model span. linear_only : of amplitudes."""
-    linear = [q.linear for q in placed.effect.parameters]
-
-    def made(free: Sequence[bool]) -> list[Regressor]:
-        own = replace(placed, free=tuple(np.logical_and(placed.free, free).tolist()))
-        return with_second_order(regressors(own, point.data, point.lin), own, point.fluctuations)
-
-    if placed.effect.kind == "force":
-        found = point.units.of(placed, lambda: made(linear))
-        found = found if linear_only else found + made([not one for one in linear])
-    else:
-        found = made(linear if linear_only else [True] * len(linear))
+    found = regressors(placed, point.data, point.lin, linear_only)
+    found = with_second_order(found, placed, point.fluctuations)
     return [t for t in (orthogonalised(t, point.spans) for t in found) if t is not None]
 
 

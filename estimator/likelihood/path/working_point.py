@@ -18,7 +18,6 @@ from estimator.likelihood.response.modal_response import ModalResponse, modal_re
 from estimator.likelihood.response.regressor_set import (
     Regressor,
     Spans,
-    UnitRegressors,
     in_single_precision,
     linear_regressors,
     parameter_scale,
@@ -50,7 +49,6 @@ class WorkingPoint:
     point. A : (bins, places, places) kg, force per acceleration. mean_tangent : (places, places, 2) N/m and N s/m, by
     displacement and velocity. fluctuations : by place, of the tangents of its laws; None where no law needs a
     second-order correction. spans : of the regressors, by place, to keep those of a law on trial independent of them.
-    units : regressors of the law on trial, kept between trials.
     """
 
     data: MotionRecord
@@ -72,7 +70,6 @@ class WorkingPoint:
     mean_tangent: Array
     fluctuations: tuple[Fluctuation | None, ...]
     spans: Spans
-    units: UnitRegressors
 
     @property
     def lin(self) -> Array:
@@ -208,7 +205,6 @@ def point_at(
         data=data, kL=kL, c=c, S=_whole_power(data, result, common), nu=nu, placed=tuple(uses), force=F,
         whitening=whitening, spectra=spectra, regressors=own_regressors, whitened=whitened, gram=G, jacobian=jacobian,
         fit=result, prior_information=prior, A=A, mean_tangent=D, fluctuations=coarse, spans=Spans(own_regressors),
-        units=UnitRegressors(),
     )  # fmt: skip
 
 

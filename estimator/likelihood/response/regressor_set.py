@@ -27,23 +27,6 @@ from .fluctuation import Fluctuation
 T = TypeVar("T")
 
 
-class UnitRegressors:
-    """Cache of the regressors of the last law on one record: a search asks for the same law twice."""
-
-    def __init__(self) -> None:
-        self._last: tuple[tuple[str, bytes], list[Regressor]] = ("", b""), []
-
-    def of(self, placed: LocatedLaw, made: Callable[[], list[Regressor]]) -> list[Regressor]:
-        """The regressors of a law, made if they are not known."""
-        searched = [not q.linear for q in placed.effect.parameters]
-        law = placed.key, placed.p[searched].tobytes() + bytes(placed.at)
-        last, known = self._last
-        if law != last:
-            known = made()
-            self._last = law, known
-        return known
-
-
 def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: bool = False) -> list[Regressor]:
     """Regressors of a law, one per free parameter; none for a law that is zero along the record.
 

@@ -27,7 +27,6 @@ from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, locate
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.response.regressor_set import UnitRegressors
 from estimator.model.rig import Channel, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
@@ -128,18 +127,6 @@ def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, 
     assert are_contenders(alone) == [True, True, False]
     faint = [at("clearance", 20.0), at("stop", 1.0), at("hertz", 0.1)]
     assert are_contenders(faint) == [True, True, False]
-
-
-def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, WorkingPoint, float]) -> None:
-    """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
-    rig, point, gap = weak
-    placed = LocatedLaw(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), free=(True, True))
-    asked = [law_gain.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
-    gains = [one.gain for one in asked if one is not None]
-    fresh = law_gain.fitted_gain(replace(point, units=UnitRegressors()), placed)
-    assert fresh is not None
-    assert gains[0] == gains[1] == gains[3] == fresh.gain
-    assert gains[2] != gains[0]
 
 
 @pytest.mark.parametrize("curvature", [0.0, -2e4])
