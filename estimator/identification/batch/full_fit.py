@@ -30,7 +30,7 @@ from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.modal_response import modal_responses
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
+from estimator.results import Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 from estimator.signals.shaft_angle import with_measured_speed
 
@@ -84,16 +84,6 @@ class FullFit:
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
         scaleless = unknown_mass.unscaled_places(self.model, self.masses)
         return with_unidentifiable_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
-
-    def to_fit(self) -> Fit:
-        """The result of `fit`, without the model and the working point."""
-        return Fit(
-            parameters=self.parameters,
-            log_likelihood=self.point.fit.log_likelihood,
-            samples=self.point.data.blocks * self.point.data.block,
-            method="spectral",
-            messages=self.messages,
-        )
 
 
 def is_disturbance(use: EffectUse) -> bool:

@@ -6,9 +6,6 @@ whole record. Where the parts differ by more than chance, the standard deviation
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import count
-
 import numpy as np
 
 from estimator.arrays import Array
@@ -21,26 +18,15 @@ from .full_fit import FullFit
 from .thresholds import LIMITS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitOfParts:
-    """The mean of the fits of all parts of a record.
+def fit_of_all_parts(found: FullFit, y: Array, rate_hz: float) -> tuple[dict[str, Estimate], int]:
+    """The mean of the fits of all parts of y (n, channels), SI, by full name of the parameter, and their rows.
 
-    estimates : by full name of the parameter. samples : rows of all parts.
+    found : the fit of the first part.
     """
-
-    estimates: dict[str, Estimate]
-    samples: int
-
-
-def fit_of_all_parts(found: FullFit, y: Array, rate_hz: float) -> FitOfParts | None:
-    """The fit of all parts of y (n, channels), SI. found : the fit of the first part. None where that is all."""
     rows = found.point.data.blocks * found.point.data.block
-    if len(y) < (1.0 + LIMITS.min_further_share) * rows:
-        return None
     parts, lengths = [fitted_estimates(found.point)], [rows]
-    for part in count(1):
-        if part * rows >= len(y):
-            break
+    last = -(-len(y) // rows) if len(y) >= (1.0 + LIMITS.min_further_share) * rows else 1
+    for part in range(1, last):
         try:
             data = prepare(found.model, y, rate_hz, part=part)
         except DataError:  # what remains is too short
@@ -49,12 +35,10 @@ def fit_of_all_parts(found: FullFit, y: Array, rate_hz: float) -> FitOfParts | N
         parts.append(fitted_estimates(point))
         lengths.append(data.blocks * data.block)
     if len(parts) == 1:
-        return None
+        return parts[0], rows
     names = [name for name in parts[0] if all(name in own for own in parts)]
     weights = np.array(lengths) / sum(lengths)
-    return FitOfParts(
-        estimates={name: _mean([own[name] for own in parts], weights) for name in names}, samples=sum(lengths)
-    )
+    return {name: _mean([own[name] for own in parts], weights) for name in names}, sum(lengths)
 
 
 def _mean(parts: list[Estimate], weights: Array) -> Estimate:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from estimator.arrays import Array
@@ -47,16 +45,16 @@ def fit_spectral(model: Model, y: Array, rate_hz: float) -> Fit:
     messages = (*found.messages, *_fit_messages(found))
     noisy = force_noise_ratio(found.model, found.point)
     messages += tuple(_force_noise_message(place, ratio) for place, ratio in noisy.items())
-    whole = fit_of_all_parts(found, y, rate_hz)
-    result = found.to_fit() if whole is None else replace(found.to_fit(), samples=whole.samples)
-    if whole is not None:
+    estimates, samples = fit_of_all_parts(found, y, rate_hz)
+    if samples > found.point.data.blocks * found.point.data.block:
         messages = tuple(m for m in messages if m.code != RECORD_LONG_CODE)
-    parameters = found.with_estimates(None if whole is None else whole.estimates)
+    parameters = found.with_estimates(estimates)
     for name, c in [(f"{place}.c", parameters[f"{place}.c"]) for place in noisy]:
         if c.value is not None and c.sd is not None:
             wide = float(np.hypot(c.sd, noisy[name.removesuffix(".c")] * c.value))
             parameters[name] = Parameter.from_estimate(c.value, wide, c.unit)
-    return replace(result, parameters=_given_masses(found.model) | parameters, messages=messages)
+    parameters = _given_masses(found.model) | parameters
+    return Fit(parameters, found.point.fit.log_likelihood, samples, "spectral", messages=messages)
 
 
 def _force_noise_message(place: str, ratio: float) -> Message:
