@@ -89,11 +89,7 @@ class PeriodicEffect:
     def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
         """The orders that its law has in a band, Hz."""
         k = np.arange(1, self.highest(band) + 1)
-        return k[(self.hz * k >= band[0]) & self.sounding(k.size)]
-
-    def sounding(self, count: int) -> NDArray[np.bool_]:
-        """(count,) which harmonics its law has."""
-        return present_harmonics(self.effect, count)
+        return k[(self.hz * k >= band[0]) & present_harmonics(self.effect, k.size)]
 
 
 def present_harmonics(effect: Effect, count: int) -> NDArray[np.bool_]:
@@ -261,7 +257,7 @@ def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz:
     count = int(min(0.5 * rate_hz / one.hz, LIMITS.points_per_turn // 8))
     gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
     tables: dict[int, Array] = {}
-    if not ((gain > LIMITS.min_band_gain) & one.sounding(count)).any():
+    if not ((gain > LIMITS.min_band_gain) & present_harmonics(one.effect, count)).any():
         return tables
     for i, place in enumerate(places):
         if acts_on(one, place):

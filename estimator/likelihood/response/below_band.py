@@ -9,13 +9,12 @@ of every law. So does a measured force below the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from estimator.arrays import Array, Complexes
+from estimator.arrays import Array
 from estimator.effects.engine.law_loop import force_array
 from estimator.effects.engine.memory_loop import memory_array
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
@@ -51,32 +50,18 @@ def usual_sizes(effect: Effect) -> Array:
     return np.array([of("m"), of("m/s")] * 2)
 
 
-def below_band_compliance(
-    yields: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], kinds: Sequence[str]
-) -> Callable[[Array], Complexes]:
-    """Function of w (f,) rad/s: unmeasured displacement below the band per force, (f, places, places) m/N.
+def below_band_displacement(push: Mapping[int, Array], data: MotionRecord, D: Array) -> dict[int, Array]:
+    """(n,) m by place, unmeasured displacement below the band under restoring forces push (n,) N by place.
 
-    yields : function of w, the whole compliance. kinds : kind of the sensor at each place.
+    D : (places, places, 2) mean tangents by displacement and velocity, N/m and N s/m.
     """
-
-    def response(w: Array) -> Complexes:
-        f = w / (2 * np.pi)
-        part = np.stack([np.where(f < band[0], unmeasured_gain(f, rate_hz, band, kind), 0.0) for kind in kinds], axis=1)
-        return np.asarray(part[..., None] * yields(w))
-
-    return response
-
-
-def below_band_displacement(
-    push: Mapping[int, Array], response: Callable[[Array], Complexes], rate_hz: float, low_hz: float
-) -> dict[int, Array]:
-    """(n,) m by place, displacement below low_hz under restoring forces push (n,) N by place."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    n = next(iter(push.values())).size
+    n, low = data.x.shape[1], data.band[0]
     size = next_fast_len(n, real=True)
-    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz)[: int(low_hz * size / rate_hz) + 1], np.float64)
-    G = response(2 * np.pi * f)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz)[: int(low * size / data.rate_hz) + 1], np.float64)
+    unmeasured = [np.where(f < low, unmeasured_gain(f, data.rate_hz, data.band, kind), 0.0) for kind in data.kinds]
+    G = np.stack(unmeasured, axis=1)[..., None] * compliance(2 * np.pi * f, data.mass, D, data.rotor)
     forces = {j: np.asarray(rfft(one, size)[: f.size]) for j, one in push.items()}
     there = [i for i in range(G.shape[1]) if G[:, i, list(forces)].any()]
     F = np.stack([*forces.values()], axis=1)
@@ -102,11 +87,9 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
                 return with_below_band_motion(replace(data, slow=data.measured, below_band_force=None), kL, c, uses)
             before = np.zeros(data.x.shape, np.float32) if data.slow is None else data.slow
             push = {i: push.get(i, 0.0) - tangents[i] @ before - force for i, force in enumerate(data.below_band_force)}
-        yields = partial(compliance, mass=data.mass, D=D, rotor=data.rotor)
-        response = below_band_compliance(yields, data.rate_hz, data.band, data.kinds)
         slow = np.zeros(data.x.shape, np.float32)
         if push:
-            for i, x in below_band_displacement(push, response, data.rate_hz, data.band[0]).items():
+            for i, x in below_band_displacement(push, data, D).items():
                 slow[i] += x
         if data.measured is not None:
             slow += data.measured
