@@ -37,8 +37,6 @@ class OscillatorFit:
         Power at the resonance over that of everything else there.
     energy : (modes,) float64
         Share of the kinetic energy in the band: mean square of the velocity.
-    model : (cells,) float64
-        PSD of the fit.
     force : (cells,) float64
         exp(P): PSD of the force over the squared mass, (m/s^2)^2/Hz.
     knot_octaves : float
@@ -53,7 +51,6 @@ class OscillatorFit:
     damping_sd: Array
     prominence: Array
     energy: Array
-    model: Array
     force: Array
     knot_octaves: float
     misfit_db: float
@@ -316,7 +313,6 @@ def _fit(problem: _Problem, theta: Array, parts: _Parts) -> OscillatorFit:
         damping_sd=(zeta * tail_sd[:, 1])[order],
         prominence=prominence[order],
         energy=(parts.modes @ df / (parts.psd @ df))[order],
-        model=parts.psd * problem.scale,
         force=parts.force * problem.scale,
         knot_octaves=problem.knot_octaves,
         misfit_db=10.0 / np.log(10.0) * misfit,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -103,29 +103,20 @@ class PlaceStructure:
         By frequency.
     excitation : ExcitationSpectrum
         What drives the modes.
-    cells : CellSpectrum
-        The spectrum that was fitted, without tones.
-    model : (cells,) float64
-        PSD of the fit.
     poles : tuple of PolePoint
         For a stabilisation diagram.
     misfit_db : float
         Rms distance of the spectrum from the fit beyond its scatter, dB.
     expected : int
         Modes that the rig itself has at the place: its cap, the cap at the other end of the shaft, and the disc.
-    driven : bool
-        Whether a force is measured at the place.
     """
 
     channel: str
     modes: tuple[Mode, ...]
     excitation: ExcitationSpectrum
-    cells: CellSpectrum
-    model: Array
     poles: tuple[PolePoint, ...]
     misfit_db: float
     expected: int = 1
-    driven: bool = False
 
     @property
     def similar(self) -> tuple[Mode, ...]:
@@ -135,8 +126,14 @@ class PlaceStructure:
 
     @property
     def resonances(self) -> int:
-        """Number of these modes, those nearer than half an octave to each other counted once."""
-        return count_apart([m.frequency_hz for m in self.similar])
+        """Number of these modes, those nearer than half an octave to the next one counted once."""
+        ratios = np.diff(np.log(np.sort([m.frequency_hz for m in self.similar])))
+        return int(np.count_nonzero(ratios > np.log(LIMITS.same_mode_ratio))) + (len(self.modes) > 0)
+
+    @property
+    def similar_share(self) -> float:
+        """Share of the kinetic energy in the band that these modes hold."""
+        return sum(m.energy_share for m in self.similar)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,16 +159,11 @@ class StructureSurvey:
         """Modes of all places."""
         return tuple(m for own in self.places.values() for m in own.modes)
 
-    @property
-    def excitation(self) -> Mapping[str, ExcitationSpectrum]:
-        """Spectrum of the excitation by place."""
-        return {place: own.excitation for place, own in self.places.items()}
-
     def to_json(self) -> dict[str, Any]:
         """The part `structure` of the result of `diagnose`."""
         return {
             "modes": [mode.to_json() for mode in self.modes],
-            "excitation": {place: spectrum.to_json() for place, spectrum in self.excitation.items()},
+            "excitation": {place: own.excitation.to_json() for place, own in self.places.items()},
             "poles": [{"place": p, **asdict(pole)} for p, own in self.places.items() for pole in own.poles],
         }
 
@@ -217,8 +209,8 @@ def survey_structure(
         cells = cell_spectrum(y[:, k], channel.kind, rate_hz, model.band, lines, trains)
         if cells is None:
             return None
-        expected = expected_modes(model, place)
-        return _place(place, channel.name, cells, expected, place in forces)
+        own = _place(place, channel.name, cells, expected_modes(model, place))
+        return _with_bearing_mode(own, place in forces)
 
     found = dict(zip(columns, map_threads(at, list(columns)), strict=True)) if np.ndim(y) == 2 else {}
     missing = {place: "its channel is unusable: see the record" for place in model.places if place not in columns}
@@ -267,20 +259,18 @@ def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -
     if own.resonances > own.expected:
         count = len(own.similar)
         return f"{band} holds {count} modes of similar strength; none can be attributed to the bearing: {advice}"
-    share = sum(m.energy_share for m in own.similar)
-    if share < LIMITS.min_energy_share:
-        return f"the resonance in {band} holds only {100 * share:.0f} % of its energy: {advice}"
+    if own.similar_share < LIMITS.min_energy_share:
+        return f"the resonance in {band} holds only {100 * own.similar_share:.0f} % of its energy: {advice}"
     return (
         f"{band} is not explained by an oscillator under a smooth force, it departs by {own.misfit_db:.1f} dB; "
         f"no mode can be attributed to the bearing: {advice}"
     )
 
 
-def _place(place: str, channel: str, cells: CellSpectrum, expected: int, driven: bool) -> PlaceStructure:
+def _place(place: str, channel: str, cells: CellSpectrum, expected: int) -> PlaceStructure:
     """The structure seen at one place."""
     fits = fit_oscillators(cells)
     last = fits[-1]
-    chosen = _bearing_index(last, expected, driven)
     modes = tuple(
         Mode(
             place=place,
@@ -289,7 +279,6 @@ def _place(place: str, channel: str, cells: CellSpectrum, expected: int, driven:
             damping=float(last.damping[m]),
             damping_sd=float(last.damping_sd[m]),
             energy_share=float(last.energy[m]),
-            bearing=m == chosen,
         )
         for m in range(last.f_hz.size)
     )
@@ -299,32 +288,22 @@ def _place(place: str, channel: str, cells: CellSpectrum, expected: int, driven:
         channel=channel,
         modes=modes,
         excitation=ExcitationSpectrum(frequency_hz=f, psd=psd),
-        cells=cells,
-        model=last.model,
         poles=_poles(fits),
         misfit_db=last.misfit_db,
         expected=expected,
-        driven=driven,
     )
 
 
-def _bearing_index(fit: OscillatorFit, expected: int, driven: bool) -> int | None:
-    """Number of the mode that can be the bearing's: the strongest, where the rig explains all that are as strong.
+def _with_bearing_mode(own: PlaceStructure, driven: bool) -> PlaceStructure:
+    """The place with its strongest mode as that of the bearing, where the rig explains all modes that are as strong.
 
-    Beside a measured force the shape of the spectrum is that of the force, and not asked.
+    driven : whether a force is measured there. The shape of the spectrum is then that of the force, and not asked.
     """
-    if not fit.f_hz.size:
-        return None
-    top = int(np.argmax(fit.energy))
-    near = fit.energy >= LIMITS.similar_energy * fit.energy[top]
-    clear = count_apart(fit.f_hz[near]) <= expected and fit.misfit_db <= LIMITS.max_misfit_db
-    return top if driven or (clear and np.sum(fit.energy[near]) >= LIMITS.min_energy_share) else None
-
-
-def count_apart(f_hz: Sequence[float] | Array) -> int:
-    """Number of frequencies, those nearer than half an octave to the next one counted once."""
-    ratios = np.diff(np.log(np.sort(f_hz)))
-    return int(np.count_nonzero(ratios > np.log(LIMITS.same_mode_ratio))) + (len(f_hz) > 0)
+    clear = own.resonances <= own.expected and own.misfit_db <= LIMITS.max_misfit_db
+    if not own.modes or not (driven or (clear and own.similar_share >= LIMITS.min_energy_share)):
+        return own
+    top = max(own.modes, key=lambda mode: mode.energy_share)
+    return replace(own, modes=tuple(replace(mode, bearing=mode is top) for mode in own.modes))
 
 
 def _poles(fits: Sequence[OscillatorFit]) -> tuple[PolePoint, ...]:
