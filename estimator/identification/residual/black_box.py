@@ -6,12 +6,11 @@ products of low degree. u = x / rms, w = v / rms, r^2 = u^2 + w^2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
@@ -28,10 +27,16 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.regressor_set import tangent_response
 
-from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
+from .black_box_tangents import (
+    Derived,
+    Float32Series,
+    legendre_in_time,
+    level_regressors,
+    second_order_tangents,
+    shaft_waves,
+)
 from .thresholds import LIMITS
 
-Float32Series = NDArray[np.float32]
 GROUP_NAMES = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
 MIN_VISIT_SAMPLES = 30  # beyond the last knot but one, on each side
 
@@ -46,7 +51,7 @@ class RegressorGroup:
         One of `GROUP_NAMES`.
     series : list of (n,) float32
         The regressors, without unit.
-    tangents : list of (places, 2) float64
+    tangents : (regressors, places, 2) float64
         Mean derivative of each with respect to displacement (1/m) and velocity (s/m) of every location.
     knots : (k,) float64 or None
         Knots of hat functions, m or m/s; None for other groups.
@@ -54,86 +59,8 @@ class RegressorGroup:
 
     name: str
     series: list[Float32Series]
-    tangents: list[Array]
+    tangents: Array
     knots: Array | None = None
-
-
-@njit(cache=True, nogil=True)
-def _hat_regressors(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
-    """Hat functions with knots low + k step, linear beyond the ends. slopes (k,) : mean derivatives."""
-    k = out.shape[0]
-    n = z.size
-    for i in range(n):
-        u = (z[i] - low) / step
-        j = int(u)
-        if j < 0:
-            j = 0
-        if j > k - 2:
-            j = k - 2
-        f = u - j
-        out[j, i] = 1.0 - f
-        out[j + 1, i] = f
-        slopes[j] -= 1.0
-        slopes[j + 1] += 1.0
-    for j in range(k):
-        slopes[j] /= n * step
-
-
-@njit(cache=True, nogil=True)
-def _level_regressors(u, w, out, slopes):  # type: ignore[no-untyped-def]
-    """Products of u and w, and of each with r = |(u, w)|. slopes (k, 4) : sums of d/du, d/dw, d/duo, d/dwo."""
-    for i in range(u.size):
-        x, v = u[i], w[i]
-        r = max(np.sqrt(x * x + v * v), 1e-6)
-        out[0, i], out[1, i], out[2, i], out[3, i], out[4, i] = x * v, x * x * v, x * v * v, r * x, r * v
-        slopes[0, 0] += v
-        slopes[0, 1] += x
-        slopes[1, 0] += 2 * x * v
-        slopes[1, 1] += x * x
-        slopes[2, 0] += v * v
-        slopes[2, 1] += 2 * x * v
-        slopes[3, 0] += r + x * x / r
-        slopes[3, 1] += x * v / r
-        slopes[4, 0] += x * v / r
-        slopes[4, 1] += r + v * v / r
-
-
-@njit(cache=True, nogil=True)
-def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
-    """States of the other direction, their products with u, and radial springs with a gap.
-
-    slopes (k, 4) : sums of d/du, d/dw, d/duo, d/dwo.
-    """
-    for i in range(u.size):
-        x, y = u[i], uo[i]
-        out[0, i], out[1, i], out[2, i], out[3, i] = y, wo[i], y * y, x * y
-        out[4, i], out[5, i], out[6, i] = y * y * y, x * x * y, x * y * y
-        slopes[0, 2] += 1.0
-        slopes[1, 3] += 1.0
-        slopes[2, 2] += 2 * y
-        slopes[3, 0] += y
-        slopes[3, 2] += x
-        slopes[4, 2] += 3 * y * y
-        slopes[5, 0] += 2 * x * y
-        slopes[5, 2] += x * x
-        slopes[6, 0] += y * y
-        slopes[6, 2] += 2 * x * y
-        r = max(np.sqrt(x * x + y * y), 1e-6)
-        for k in range(2):
-            gap = k + 1.0
-            over, bend = (1.0 - gap / r, gap / (r * r * r)) if r > gap else (0.0, 0.0)
-            out[7 + 2 * k, i], out[8 + 2 * k, i] = over * x, over * y
-            slopes[7 + 2 * k, 0] += over + bend * x * x
-            slopes[7 + 2 * k, 2] += bend * x * y
-            slopes[8 + 2 * k, 0] += bend * x * y
-            slopes[8 + 2 * k, 2] += over + bend * y * y
-
-
-def _evaluated(law: Callable[..., None], columns: int, *states: Float32Series) -> tuple[list[Float32Series], Array]:
-    """The regressors of a law of some states, and the means (columns, 4) of their derivatives."""
-    out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
-    law(*states, out, slopes)
-    return list(out), slopes / states[0].size
 
 
 def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
@@ -151,19 +78,18 @@ def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
 def hat_group(
     name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int
 ) -> RegressorGroup:
-    """Hat functions of a state z (n,) at some knots.
+    """Hat functions of a state z (n,) at some knots, linear beyond the ends.
 
     which : 0 for displacement, 1 for velocity. places : number of locations.
     """
+    step, row = float(knots[1] - knots[0]), np.arange(z.size)
+    at = (z.astype(np.float64) - knots[0]) / step
+    cell = np.clip(at.astype(np.intp), 0, knots.size - 2)
     out = np.zeros((knots.size, z.size), np.float32)
-    slopes = np.zeros(knots.size)
-    _hat_regressors(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
-    tangents = []
-    for s in slopes:
-        t = np.zeros((places, 2))
-        t[place, which] = s
-        tangents.append(t)
-    return RegressorGroup(name, list(out), tangents, knots)
+    out[cell, row], out[cell + 1, row] = 1.0 - (at - cell), at - cell
+    tangents = np.zeros((knots.size, places, 2))
+    tangents[:, place, which] = -np.diff(np.bincount(cell, minlength=knots.size - 1), prepend=0, append=0)
+    return RegressorGroup(name, list(out), tangents / (z.size * step), knots)
 
 
 def velocity_knot_step(point: WorkingPoint, i: int) -> float:
@@ -180,49 +106,48 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     )
 
 
-def _state_group(data: MotionRecord, i: int, name: str, series: list[Float32Series], slopes: Array) -> RegressorGroup:
-    """A group of regressors of location i. slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
-    o = data.other(i)
-    tangents = np.zeros((len(series), len(data.places), 2))
-    tangents[:, i] = slopes[:, :2] / data.rms[:2, i]
-    if o is not None:
-        tangents[:, o] = slopes[:, 2:] / data.rms[:2, o]
-    return RegressorGroup(name, series, list(tangents))
+def _mean(z: Float32Series | float) -> float:
+    return float(np.mean(z, dtype=np.float64))
+
+
+def _state_group(data: MotionRecord, i: int, name: str, made: Sequence[Derived]) -> RegressorGroup:
+    """A group of regressors of location i, each with its derivatives by u, w and, of the other direction, uo, wo.
+
+    They are evaluated at the denoised displacement, with their mean tangents, as laws are: sensor noise in the
+    displacement would gain likelihood as x^2 v.
+    """
+    o, tangents = data.other(i), np.zeros((len(made), len(data.places), 2))
+    for (series, *by), own in zip(made, tangents, strict=True):
+        slopes = np.array([*map(_mean, by), *[0.0] * (4 - len(by))])
+        own[i] = slopes[:2] / data.rms[:2, i]
+        if o is not None:
+            own[o] = slopes[2:] / data.rms[:2, o]
+        mean = np.array([own[i, 0], 0.0, 0.0 if o is None else own[o, 0], 0.0])
+        if data.denoise_correction is not None and mean.any():
+            restore_mean_tangent(series, mean, data.denoise_correction, i, -1 if o is None else o)
+    return RegressorGroup(name, [series for series, *_ in made], tangents)
 
 
 def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
-    """Regressors of location i and the other direction of its node; None if that is not measured."""
+    """Regressors of location i and the other direction of its node; None if that is not measured.
+
+    States of the other direction, their products with u, and radial springs with a gap.
+    """
     o = data.other(i)
     if o is None:
         return None
-    states = [
-        data.denoised_displacement(i) / data.rms[0, i],
-        data.denoised_displacement(o) / data.rms[0, o],
-        data.v[o] / data.rms[1, o],
-    ]
-    found = _state_group(
-        data,
-        i,
-        "other_direction",
-        *_evaluated(
-            _other_direction_regressors, LIMITS.other_direction_regressors, *(z.astype(np.float32) for z in states)
-        ),
-    )
-    return _on_denoised_displacement(found, data, i)
-
-
-def _on_denoised_displacement(group: RegressorGroup, data: MotionRecord, i: int) -> RegressorGroup:
-    """The group evaluated at the denoised displacement, with its mean tangents, as laws are evaluated.
-
-    Sensor noise in the displacement would gain likelihood as x^2 v.
-    """
-    if data.denoise_correction is not None:
-        o = data.other(i)
-        for series, tangents in zip(group.series, group.tangents, strict=True):
-            mean = np.array([tangents[i, 0], 0.0, 0.0 if o is None else tangents[o, 0], 0.0])
-            if mean.any():
-                restore_mean_tangent(series, mean, data.denoise_correction, i, -1 if o is None else o)
-    return group
+    x, y = (data.denoised_displacement(k) / data.rms[0, k] for k in (i, o))
+    x, y, w = (z.astype(np.float32) for z in (x, y, data.v[o] / data.rms[1, o]))
+    made: list[Derived] = [
+        (y.copy(), 0.0, 0.0, 1.0), (w, 0.0, 0.0, 0.0, 1.0), (y * y, 0.0, 0.0, 2 * y), (x * y, y, 0.0, x),
+        (y * y * y, 0.0, 0.0, 3 * y * y), (x * x * y, 2 * x * y, 0.0, x * x), (x * y * y, y * y, 0.0, 2 * x * y),
+    ]  # fmt: skip
+    r = np.maximum(np.hypot(x, y), 1e-6)
+    for gap in (1.0, 2.0):
+        over, bend = np.maximum(1.0 - gap / r, 0.0), np.where(r > gap, gap / r**3, 0.0)
+        made.append((over * x, over + bend * x * x, 0.0, bend * x * y))
+        made.append((over * y, bend * x * y, 0.0, over + bend * y * y))
+    return _state_group(data, i, "other_direction", made)
 
 
 def regressor_groups(
@@ -230,12 +155,12 @@ def regressor_groups(
     i: int,
     orders: tuple[float, ...],
     knots: tuple[Array, Array],
-    times: tuple[float, float] | None = None,
+    times: tuple[float, float],
 ) -> Iterator[RegressorGroup]:
     """Groups of regressors of location i, one at a time, as they are large.
 
     orders : of the shaft, for varying stiffness. knots : of hat functions of displacement (m) and velocity (m/s). times
-    : s, first and last of the record if the data are a part of it.
+    : s, first and last of the record that the data are a part of.
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
@@ -244,34 +169,22 @@ def regressor_groups(
     # with a mean tangent known to one per cent only, and wins likelihood without any force.
     yield hat_group("displacement", data.displacement(i), knots[0], i, 0, P)
     yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
-
-    def m(z: Float32Series) -> float:
-        return float(np.mean(z, dtype=np.float64))
-
-    yield _on_denoised_displacement(
-        _state_group(data, i, "level", *_evaluated(_level_regressors, LIMITS.level_regressors, u, w)), data, i
-    )
+    yield _state_group(data, i, "level", level_regressors(u, w))
     beside = other_direction_group(data, i)
     if beside is not None:
         yield beside
     q = data.opposite(i)
     if q is not None:
-        tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
-        tx[q, 0], tv[q, 1] = 1.0 / data.rms[0, q], 1.0 / data.rms[1, q]
+        tangents = np.zeros((2, P, 2))
+        tangents[[0, 1], q, [0, 1]] = 1.0 / data.rms[:2, q]
         up, wp = (data.x[q] / data.rms[0, q]).astype(np.float32), (data.v[q] / data.rms[1, q]).astype(np.float32)
-        yield RegressorGroup("other_bearing", [up, wp], [tx, tv])
-    first, last = (float(data.t[0]), float(data.t[-1])) if times is None else times
-    tau, second = (z.astype(np.float32) for z in legendre_in_time(data.t, first, last))
-    slopes = np.zeros((4, 4))
-    slopes[0, 0] = slopes[1, 1] = m(tau)
-    slopes[2, 0] = slopes[3, 1] = m(second)
-    yield _on_denoised_displacement(
-        _state_group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes), data, i
-    )
+        yield RegressorGroup("other_bearing", [up, wp], tangents)
+    made: list[Derived] = []
+    for z in (own.astype(np.float32) for own in legendre_in_time(data.t, *times)):
+        made += [(z * u, z), (z * w, 0.0, z)]
+    yield _state_group(data, i, "time", made)
     if data.speed > 0.0:
-        turning = shaft_waves(data.phase, orders)
-        slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
-        yield _on_denoised_displacement(_state_group(data, i, "shaft_angle", [z * u for z in turning], slopes), data, i)
+        yield _state_group(data, i, "shaft_angle", [(z * u, z) for z in shaft_waves(data.phase, orders)])
 
 
 def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
@@ -289,30 +202,21 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
         hat_knots(data.displacement(i), float(data.rms[0, i]), LIMITS.x_knot_step_rms),
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
-    most = sum(z.size for z in ends) + LIMITS.level_regressors + LIMITS.other_direction_regressors + 6 + 2 * len(orders)
-    rows = most * int(data.fold_blocks.max())
-    room = np.empty(0, np.float32)  # of all folds: memory that is new takes longer than what is computed in it
     for f in range(TIME_FOLDS):
         part, blocks = fold_record(data, f), np.flatnonzero(data.fold == f)
-        found, count = [], 0
-        X = room
+        found, spectra = [], []
         for g in regressor_groups(part, i, orders, ends, times):
-            for z in g.series:
-                spectrum = point.whitening.spectrum(i, z, blocks=blocks)
-                if not count:
-                    room = room if room.size else np.empty(rows * spectrum.shape[1], np.float32)
-                    X = room[: most * spectrum.size].reshape(most, *spectrum.shape)
-                X[count] = spectrum
-                count += 1
-            found.append(RegressorGroup(g.name, [], g.tangents, g.knots))
-        made.append(fold_products(point, i, base, f, X[:count]))
+            spectra += [point.whitening.spectrum(i, z, blocks=blocks) for z in g.series]
+            found.append(replace(g, series=[]))
+        made.append(fold_products(point, i, base, f, np.stack(spectra)))
         by_fold.append(found)
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
     made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
-    mean = np.average([[t for g in found for t in g.tangents] for found in by_fold], axis=0, weights=data.fold_blocks)
-    columns = np.split(mean, np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
-    whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
+    whole = [
+        replace(own[0], tangents=np.average([g.tangents for g in own], axis=0, weights=data.fold_blocks))
+        for own in zip(*by_fold, strict=True)
+    ]
     around = point.fluctuations[i]
     here = around and around.shorter(LIMITS.second_order_record_s)
     tangents: Complexes = np.concatenate([_group_tangents(point, i, g, here, orders, times) for g in whole])

@@ -1,4 +1,4 @@
-"""Second-order corrections of the tangents of black-box regressors, where the model's stiffness fluctuates."""
+"""Regressors of the black box with their tangents, and second-order corrections where the stiffness fluctuates."""
 
 from __future__ import annotations
 
@@ -9,6 +9,18 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.response.fluctuation import Fluctuation
+
+Float32Series = NDArray[np.float32]
+Derived = tuple[Float32Series, *tuple[Float32Series | float, ...]]  # a regressor (n,) and its derivatives
+
+
+def level_regressors(u: Float32Series, w: Float32Series) -> list[Derived]:
+    """Products of u and w, and of each with r = |(u, w)|, with their derivatives by u and w."""
+    r = np.asarray(np.maximum(np.hypot(u, w), 1e-6), u.dtype)
+    return [
+        (u * w, w, u), (u * u * w, 2 * u * w, u * u), (u * w * w, w * w, 2 * u * w),
+        (r * u, r + u * u / r, u * w / r), (r * w, u * w / r, r + w * w / r),
+    ]  # fmt: skip
 
 
 def legendre_in_time(t: Array, first: float, last: float) -> tuple[Array, Array]:
@@ -51,12 +63,8 @@ def second_order_tangents(
             yield np.asarray(below - own)
             below = own
     elif name == "level":
-        u, w = x / sizes[0], v / sizes[1]
-        r = np.maximum(np.hypot(u, w), 1e-6)
-        for du, dw in (
-            (w, u), (2 * u * w, u * u), (w * w, 2 * u * w), (r + u * u / r, u * w / r), (u * w / r, r + w * w / r),
-        ):  # fmt: skip
-            yield here.of(np.stack([du / sizes[0], dw / sizes[1]]))
+        for _, *by in level_regressors(x / sizes[0], v / sizes[1]):
+            yield here.of(np.stack([z / size for z, size in zip(by, sizes, strict=True)]))
     elif name == "time":
         none = np.zeros(x.size)
         for z in legendre_in_time(here.data.t, *times):

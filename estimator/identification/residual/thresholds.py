@@ -19,8 +19,6 @@ class Thresholds:
     second_order_record_s: float = 5.0
     # of a hat of velocity, over the change of velocity by the force within tau of the band
     min_hat_width_kicks: float = 2.5
-    level_regressors: int = 5  # in the group of the level
-    other_direction_regressors: int = 11  # in the group of the other direction
 
     # group_fit
     polynomial_degree: int = 9  # of the smooth curves
