@@ -39,23 +39,17 @@ class FoundGroup:
 
     Attributes
     ----------
-    place : int
-        Index of the location in the motion record.
     group : str
         Name of the group, one of the black box's `GROUP_NAMES`.
     power_N2 : float
         Mean square of the force that the group adds to those found before it, N^2.
     gain_nats : float
         Log-likelihood that it adds, nats.
-    p_value : float
-        After a correction for the groups and locations tried.
     """
 
-    place: int
     group: str
     power_N2: float
     gain_nats: float
-    p_value: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,10 +97,10 @@ class TriedGroup(NamedTuple):
     hidden_N2: float
 
 
-def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> PlaceResidual:
+def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> PlaceResidual:
     """Groups that the residual force at location i follows, by forward selection.
 
-    orders : of the shaft, at which stiffness may vary. tries : groups tested at all locations, for the significance.
+    orders : of the shaft, at which stiffness may vary.
     """
     problem, knots = black_box.group_pool(point, i, orders)
     names: dict[str, tuple[str, ...]] = {}
@@ -114,7 +108,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)
     plain = problem.without_extra()
     current, fitted, power = plain, plain.fit(), 0.0
-    tries += len(point.data.places) * len(knots)  # the polynomials
+    tries = len(point.data.places) * (len(black_box.GROUP_NAMES) + len(knots))  # hat functions as polynomials too
     level = plain.likelihood(fitted, np.arange(point.data.fold_blocks.size))
     found: list[FoundGroup] = []
     least = _negligible_power(point, i)
@@ -125,15 +119,14 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
         if not chosen:
             upper = max(upper, *(group.hidden_N2 for group in tried))
         best = min(tried, key=lambda group: (group.p_value, -group.gain_nats))
-        p = min(1.0, best.p_value * tries)
-        if p > LIMITS.max_group_p_value:
+        if best.p_value * tries > LIMITS.max_group_p_value:
             break
         total, _ = extra_power(point, best.problem, best.fit)
         if total - power < least:
             break
         current, fitted, level = best.problem, best.fit, best.log_likelihood
         more = max(total - power, 0.0)
-        found.append(FoundGroup(place=i, group=best.name, power_N2=more, gain_nats=best.gain_nats, p_value=p))
+        found.append(FoundGroup(group=best.name, power_N2=more, gain_nats=best.gain_nats))
         power = max(total, power)
     P, sd = extra_power(point, current, fitted) if found else (0.0, 0.0)
     return PlaceResidual(
@@ -253,10 +246,9 @@ def survey_seconds(rate_hz: float) -> float:
 
 
 def survey(
-    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Finding] = (),
-    seconds: float | None = None,
-) -> MissingForce:  # fmt: skip
-    """The missing force of a model, from part of a long record.
+    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Finding] = ()
+) -> MissingForce:
+    """The missing force of a model, from the first `survey_seconds` of a record.
 
     Parameters
     ----------
@@ -268,15 +260,13 @@ def survey(
         Indices of the locations to judge; None judges all. The others count as explained.
     others : sequence of Finding
         Findings that no state explains.
-    seconds : float or None
-        Length of the part of the record that is used; None: `survey_seconds`.
 
     Returns
     -------
     MissingForce
         Groups of regressors found at each location, and the forces of the findings.
     """
-    point = point_on_part(point, seconds or survey_seconds(point.data.rate_hz))
+    point = point_on_part(point, survey_seconds(point.data.rate_hz))
     found = map_processes(_group_selections(point, model, only))
     return MissingForce(tuple(found), point.bearing_force).with_findings(others)
 
@@ -299,5 +289,4 @@ def _group_selections(
 ) -> list[Callable[[], PlaceResidual]]:
     """The selection of groups at every location, as calls in any order."""
     places = [i for i in range(len(point.data.places)) if only is None or i in only]
-    tries = len(point.data.places) * len(black_box.GROUP_NAMES)
-    return [partial(select_groups, point, i, stiffness_orders(model), tries) for i in places]
+    return [partial(select_groups, point, i, stiffness_orders(model)) for i in places]

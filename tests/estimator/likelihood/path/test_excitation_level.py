@@ -17,6 +17,7 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.path.excitation_level import relative_level, rms_ratio
+from estimator.likelihood.path.working_point import point_on_part
 from estimator.simulation.simulator import simulate
 
 
@@ -72,9 +73,9 @@ def test_a_complete_model_under_a_growing_force_lacks_nothing() -> None:
     """With the force taken as even 2.1 % of the bearing force seemed missing, against time; with more motion 17 %."""
     y = rig_record(8.0, seed=2, level=0.6, growth=2.5)
     whole = fit_all_effects(rig_model("cubic"), y, RIG_RATE)
-    assert not missing_force.survey(whole.point, whole.model, seconds=8.0).any_found()
+    assert not missing_force.survey(whole.point, whole.model).any_found()
     taken = replace(whole.point, data=replace(whole.point.data, level=None))
-    assert missing_force.survey(taken, whole.model, seconds=6.0).any_found()
+    assert missing_force.survey(point_on_part(taken, 6.0), whole.model).any_found()
 
 
 def test_friction_under_a_growing_force_gains_on_every_fold() -> None:
