@@ -36,11 +36,6 @@ class StiffnessOrder:
     order: float
     sd: float
 
-    @property
-    def text(self) -> str:
-        """The finding in words."""
-        return f"the stiffness varies at shaft order {self.order:.4f} +- {self.sd:.1g}"
-
 
 def lacks_stiffness_order(model: Model) -> bool:
     """Whether the ball-pass order is to be found: the speed is known, and neither model nor laws have an order."""
@@ -87,7 +82,8 @@ def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[Me
     if known is not None and abs(found.order - known) < 4.0 * found.sd:
         return model, ()
     beside = "" if known is None else f"; the geometry says {known:.4f}"
-    said = (Message("ball_pass_order_found", found.text + beside),)
+    text = f"the stiffness varies at shaft order {found.order:.4f} +- {found.sd:.1g}{beside}"
+    said = (Message("ball_pass_order_found", text),)
     return replace(model, ball_pass_order=found.order, order_found=True), said
 
 
