@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermeval
+from numpy.polynomial.hermite_e import hermevander
 from scipy.linalg import block_diag
-from scipy.special import chdtrc
+from scipy.special import chdtrc, factorial
 
 from estimator.arrays import Array
 from estimator.likelihood.path.path_fit import PathFit
@@ -48,11 +47,9 @@ def as_hat_functions(
 def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:
     """(earlier + 8, extra) weights: earlier extra regressors unchanged, then polynomials of the hat functions."""
     u = 3.7 * knots / knots[-1]  # about in rms
-    rows = [
-        hermeval(u, np.eye(LIMITS.polynomial_degree + 1)[d]) / math.sqrt(math.factorial(d))
-        for d in range(2, LIMITS.polynomial_degree + 1)
-    ]
-    own = np.stack(rows) / problem.gram.scales[-len(names) :]
+    curves = hermevander(u, LIMITS.polynomial_degree)[:, 2:].T
+    sizes = np.sqrt(factorial(np.arange(2, LIMITS.polynomial_degree + 1)))
+    own = curves / np.multiply.outer(sizes, problem.gram.scales[-len(names) :])
     return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
 
 
