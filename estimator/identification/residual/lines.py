@@ -121,10 +121,9 @@ def _outstanding_lines(s: LineSpectrum, known: Sequence[float], threshold: float
 
 
 def _peak_hz(s: LineSpectrum, k: int, i: int) -> float:
-    """Frequency (Hz) of the peak at bin k of channel i under a Hann window, from the amplitudes of three bins."""
-    a, b, c = (float(np.abs(s.Y[i, j])) for j in (k - 1, k, min(k + 1, s.f_hz.size - 1)))
-    shift = (2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b)
-    return float(s.f_hz[k] + np.clip(shift, -0.7, 0.7) / s.seconds)
+    """Frequency (Hz) of the peak at bin k of channel i, from the amplitudes of three bins."""
+    three = np.abs(s.Y[i, [k - 1, k, min(k + 1, s.f_hz.size - 1)]]).astype(np.float64)
+    return float(s.f_hz[k]) + impact_train.peak_offset_bins(three) / s.seconds
 
 
 def line_forces(point: WorkingPoint, s: LineSpectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
