@@ -146,7 +146,7 @@ def _teeth(f: Array, train_hz: float) -> NDArray[np.bool_]:
 
 
 def spline_basis(x: Array, pieces: int, degree: int) -> Array:
-    """(n, splines) B-splines of x (n,), which rises, over so many intervals of equal width."""
+    """(n, splines) B-splines of x (n,), which rises, over so many intervals of equal width. degree : 0 is constant."""
     inner = np.linspace(x[0], x[-1], pieces + 1)
     knots = np.concatenate([[inner[0]] * degree, inner, [inner[-1]] * degree])
     return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, degree).toarray())

@@ -139,7 +139,7 @@ class JointSpectrum:
     shape : (cells, caps) float64
         Spectrum of the force that the model gives.
     octaves : float
-        Distance of the knots of ln S; infinite for a white force.
+        Least distance of the knots of ln S; infinite for a white force.
     fall_power : int
         Power of the frequency in ln S towards the upper edge of the band, as of an unknown filter; 0 for none.
     damping0 : (caps,) float64
@@ -165,7 +165,8 @@ class JointSpectrum:
 
     def __post_init__(self) -> None:
         f = self.spectra.f_hz
-        splines = _spline_basis(np.log(f), self.octaves)
+        pieces = int(np.log2(f[-1] / f[0]) / self.octaves)
+        splines = spline_basis(np.log(f), max(pieces, 1), min(LIMITS.spline_degree, pieces))
         fall = (f[:, None] / f[-1]) ** self.fall_power if self.fall_power else np.zeros((f.size, 0))
         object.__setattr__(self, "basis", np.hstack([splines, fall]))
 
@@ -178,10 +179,6 @@ class JointSpectrum:
     def refinements(self) -> int:
         """Steps from a white force to the form of its spectrum, each of which has to gain what a mode has to."""
         return sum(self.octaves <= own for own in LIMITS.tried_knot_octaves) + (self.fall_power > 0)
-
-    def in_form_of(self, other: JointSpectrum) -> JointSpectrum:
-        """The problem with the form of the spectrum of the force of another one."""
-        return replace(self, octaves=other.octaves, fall_power=other.fall_power)
 
     def respaced(self, values: JointValues, old: JointSpectrum) -> JointValues:
         """Values of another spacing of the knots, as near as these knots allow."""
@@ -205,11 +202,10 @@ class JointSpectrum:
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
         nats, T, signal, W, R = spectral_model(Z, s, S, N, spectra.psd, spectra.n)
-        prior = 0.5 * float(np.sum(((values.damping - self.damping0) / LIMITS.damping_prior_sd) ** 2))
-        prior += 0.5 * float(np.einsum("is,st,it->", values.force, self._spline_prior(), values.force))
-        return JointPoint(
-            values=values, log_likelihood=nats - prior, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R
-        )  # fmt: skip
+        prior, centre = self._prior(values)
+        apart = values.vector() - centre
+        nats -= 0.5 * float(apart @ prior @ apart)
+        return JointPoint(values=values, log_likelihood=nats, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R)
 
     def modes(self, values: JointValues) -> Iterator[tuple[int, StructuralMode]]:
         """Number of its cap and structural mode, one after another."""
@@ -338,16 +334,12 @@ class JointSpectrum:
         at."""
         caps, splines = values.force.shape
         information, centre = np.zeros((values.vector().size,) * 2), np.zeros(values.vector().size)
-        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), self._spline_prior())
+        about_mean = np.diag(self.flat) - np.outer(self.flat, self.flat) / self.flat.sum()
+        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), about_mean / LIMITS.spline_prior_sd**2)
         first = caps * (splines + 2)
         at = np.arange(first, first + caps)
         information[at, at], centre[at] = 1.0 / LIMITS.damping_prior_sd**2, self.damping0
         return information, centre
-
-    def _spline_prior(self) -> Array:
-        """(splines, splines) information on the coefficients of ln S about their mean."""
-        flat = self.flat
-        return np.asarray((np.diag(flat) - np.outer(flat, flat) / flat.sum()) / LIMITS.spline_prior_sd**2)
 
     def _better(self, point: JointPoint, values: JointValues) -> JointPoint | None:
         """The point at some values if it is likelier; None if not."""
@@ -374,11 +366,3 @@ Solution = tuple[JointSpectrum, JointPoint]
 def _squared_ln_ratio(point: JointPoint) -> Array:
     """(cells, caps) squared ln(measured / model) of the whitened spectra."""
     return np.asarray(np.log(np.maximum(np.einsum("fii->fi", point.R).real, 1e-300)) ** 2)
-
-
-def _spline_basis(x: Array, octaves: float) -> Array:
-    """(n, splines) B-splines of x = ln f, knots at least `octaves` apart; a constant where one interval holds all."""
-    pieces = int((x[-1] - x[0]) / np.log(2.0) / octaves)
-    if pieces < 1:
-        return np.ones((x.size, 1))
-    return spline_basis(x, pieces, min(LIMITS.spline_degree, pieces))

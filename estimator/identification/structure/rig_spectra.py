@@ -195,7 +195,8 @@ class RigSpectra:
             if start is None:
                 out.append(self._plain(model, problem, channels))
             else:
-                problem = problem.in_form_of(start.solutions[k][0])
+                form, _ = start.solutions[k]
+                problem = replace(problem, octaves=form.octaves, fall_power=form.fall_power)
                 values = self._values_of(problem, channels, start)
                 out.append((problem, problem.maximised(values, tolerance_nats=LIMITS.tried_tolerance_nats)))
         return out
