@@ -200,20 +200,18 @@ class _Problem:
         noise = np.log(0.5 * np.quantile(self.P / self.cells.noise, 0.01))
         return np.concatenate([c, [noise], [u, z, 0.0]])
 
-    def covariance(self, parts: _Parts, free: NDArray[np.intp]) -> Array:
-        """Of the free parameters: the larger of that of the information, and that from the scores of the blocks."""
+    def standard_deviations(self, parts: _Parts, theta: Array) -> Array:
+        """(parameters,) the larger one by the information and by the scores of the blocks; 0 of a fixed parameter."""
+        free, sd = self.free(theta), np.zeros(theta.size)
         J = parts.jacobian[:, free]
-        F = (J * self.nu[:, None]).T @ J
-        C = np.linalg.pinv(F, hermitian=True)
-        B = self.cells.block_psd / self.scale
-        if len(B) < 6:
-            return np.asarray(C, dtype=np.float64)
-        nu = self.cells.shape / self.dispersion / len(B)
-        scores = ((B / parts.psd - self.P / parts.psd) * nu) @ J
-        sandwich = C @ (scores.T @ scores * len(B) / (len(B) - 1)) @ C
-        sd, other = np.sqrt(np.diag(C).clip(0.0)), np.sqrt(np.diag(sandwich).clip(0.0))
-        grow = np.maximum(other / np.maximum(sd, 1e-300), 1.0)
-        return np.asarray(C * np.outer(grow, grow), dtype=np.float64)
+        C = np.linalg.pinv((J * self.nu[:, None]).T @ J, hermitian=True)
+        variance, B = np.diag(C), self.cells.block_psd / self.scale
+        if len(B) >= 6:
+            scores = ((B - self.P) / parts.psd * (self.nu / len(B))) @ J
+            sandwich = C @ (scores.T @ scores * len(B) / (len(B) - 1)) @ C
+            variance = np.maximum(variance, np.diag(sandwich))
+        sd[free] = np.sqrt(variance.clip(0.0))
+        return sd
 
 
 def fit_oscillators(cells: CellSpectrum) -> list[OscillatorFit]:
@@ -292,10 +290,6 @@ def _fit(problem: _Problem, theta: Array, parts: _Parts) -> OscillatorFit:
     """The numbers of a maximum."""
     k, cells = problem.k, problem.cells
     tail = theta[k + 1 :].reshape(-1, 3)
-    free = problem.free(theta)
-    C = problem.covariance(parts, free)
-    sd = np.zeros(theta.size)
-    sd[free] = np.sqrt(np.diag(C).clip(0.0))
     f, zeta = np.exp(tail[:, 0]), np.exp(tail[:, 1])
     at = [int(np.argmin(np.abs(problem.x - u))) for u in tail[:, 0]]
     own = np.array([parts.modes[m, i] for m, i in enumerate(at)])
@@ -305,7 +299,7 @@ def _fit(problem: _Problem, theta: Array, parts: _Parts) -> OscillatorFit:
     misfit = np.sqrt(max(float(np.mean(smoothed**2 - scatter)), 0.0))
     order = np.argsort(f)
     df = np.gradient(cells.f_hz) / cells.f_hz**2
-    tail_sd = sd[k + 1 :].reshape(-1, 3)
+    tail_sd = problem.standard_deviations(parts, theta)[k + 1 :].reshape(-1, 3)
     return OscillatorFit(
         f_hz=f[order],
         damping=zeta[order],
