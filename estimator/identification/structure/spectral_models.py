@@ -258,20 +258,16 @@ def _max_likelihood(
         here, *there = residual(np.vstack([z, z + np.diag(step)])[None])
         return np.asarray((there - here).T / step)
 
-    best: tuple[float, Array, Array] | None = None
+    found = []
     for start in starts:
         # scipy before 1.16 takes steps of one scale unless asked, and ends beside the maximum
-        found = least_squares(residual, start / scale, slopes, method="lm", x_scale="jac", max_nfev=60)
-        if best is None or found.cost < best[0]:
-            J = np.asarray(found.jac)
-            H = J.T @ J
-            sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(H, rcond=1e-12)), 0.0))
-            best = (float(found.cost), found.x * scale, sd * scale)
-        if 2 * found.cost < df + np.sqrt(2.0 * df):
+        found.append(least_squares(residual, start / scale, slopes, method="lm", x_scale="jac", max_nfev=60))
+        if 2 * found[-1].cost < df + np.sqrt(2.0 * df):
             break
-    if best is None:
-        raise ValueError("no start")
-    return -best[0], best[1], best[2]
+    best = min(found, key=lambda one: float(one.cost))
+    J: Array = np.asarray(best.jac, np.float64)
+    sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J, rcond=1e-12)), 0.0))
+    return -float(best.cost), best.x * scale, sd * scale
 
 
 def fit_base_model(point: WorkingPoint, i: int, c: SpectralCells) -> tuple[float, Array, Array]:
