@@ -1,13 +1,5 @@
 """Excitation spectra, modes, sensor noise and recorder filter."""
 
-from .survey import ExcitationSpectrum, Mode, PlaceStructure, PolePoint, StructureSurvey, bearing_mode, survey_structure
+from .survey import Mode, StructureSurvey, bearing_mode, survey_structure
 
-__all__ = [
-    "ExcitationSpectrum",
-    "Mode",
-    "PlaceStructure",
-    "PolePoint",
-    "StructureSurvey",
-    "bearing_mode",
-    "survey_structure",
-]
+__all__ = ["Mode", "StructureSurvey", "bearing_mode", "survey_structure"]

@@ -169,7 +169,7 @@ class StructureSurvey:
 
 
 def survey_structure(
-    model: Model, y: Array, rate_hz: float, record: RecordSurvey, machine: MachineSurvey | None = None
+    model: Model, y: Array, rate_hz: float, record: RecordSurvey, machine: MachineSurvey
 ) -> StructureSurvey:
     """Modes in the band of each place, with the spectrum of what excites them.
 
@@ -183,7 +183,7 @@ def survey_structure(
         Sampling rate, Hz.
     record : RecordSurvey
         Findings of the record layer; unusable channels are left out.
-    machine : MachineSurvey or None
+    machine : MachineSurvey
         Its narrow lines and those of its strike trains are left out of the spectra.
 
     Returns
@@ -195,7 +195,7 @@ def survey_structure(
     ----------
     Brillinger, Time Series, 1981, ch. 5; Bendat and Piersol, Random Data, 4th ed., ch. 6.
     """
-    trains = () if machine is None else tuple(train.frequency_hz for train in machine.strikes)
+    trains = tuple(train.frequency_hz for train in machine.strikes)
     columns: dict[str, int] = {}
     for k, channel in enumerate(model.channels):
         if channel.kind in MOTION_UNITS and channel.place in model.places and channel.name not in record.unusable:
@@ -205,7 +205,7 @@ def survey_structure(
     def at(place: str) -> PlaceStructure | None:
         k = columns[place]
         channel = model.channels[k]
-        lines = () if machine is None else machine.line_bands.get(channel.name, ())
+        lines = machine.line_bands.get(channel.name, ())
         cells = cell_spectrum(y[:, k], channel.kind, rate_hz, model.band, lines, trains)
         if cells is None:
             return None

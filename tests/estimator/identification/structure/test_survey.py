@@ -131,8 +131,10 @@ def test_excitation_is_that_of_the_force_and_poles_are_stable() -> None:
 @pytest.mark.parametrize("n", [0, 1, 100, 700])
 @pytest.mark.parametrize("value", [0.0, np.nan, 1e15])
 def test_any_record_is_answered(n: int, value: float) -> None:
-    survey = surveyed(np.full((n, 1), value))
+    y = np.full((n, 1), value)
+    survey = surveyed(y)
     assert not survey.modes
     assert "too short" in str(bearing_mode(survey, PLACE))
-    unusable = survey_structure(CAP_RIG, np.full((n, 1), value), RATE_HZ, RecordSurvey(unusable=frozenset({"b1x"})))
+    record, machine = RecordSurvey(unusable=frozenset({"b1x"})), survey_machine(CAP_RIG, y, RATE_HZ)
+    unusable = survey_structure(CAP_RIG, y, RATE_HZ, record, machine)
     assert "unusable" in str(bearing_mode(unusable, PLACE))
