@@ -324,7 +324,8 @@ def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] 
     is the answer, if it is the likelier by 20 to 1.
 
     tried : candidates that leave too much, the likeliest first. entries : all candidates; of each state that none of
-    those has the likeliest significant one is tried beside the first of them.
+    those has the likeliest significant one is tried beside the first of them, and so is every law of the state of the
+    first one: alone it may explain nothing, where the other one bends the curve the other way.
     """
     part, before = context.survey.part, context.survey.missing
     laws = [e for e in tried if e.law is not None][: THRESHOLDS.max_paired]
@@ -333,8 +334,10 @@ def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] 
     for e in entries:
         if e.law is not None and e.law.state not in states and e.p_value <= THRESHOLDS.max_p_value:
             others.setdefault(e.law.state, e)
+    nearest = laws[0].law.state if laws and laws[0].law is not None else None
+    same = [e for e in entries if e not in laws and e.law is not None and e.law.state == nearest]
     found: list[tuple[float, Entry]] = []
-    for one, other in (*combinations(laws, 2), *product(laws[:2], others.values())):
+    for one, other in (*combinations(laws, 2), *product(laws[:2], others.values()), *product(laws[:1], same)):
         try:
             both = fit_model(part.data, [*part.placed, *one.placed, *other.placed], start=part)
         except NotFiniteError:
