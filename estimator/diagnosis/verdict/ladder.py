@@ -106,7 +106,8 @@ class Ladder:
         if new is None:
             return "cannot be distinguished from zero when fitted"
         point, last, shift = self.whole.point, self.rungs[-1], self._shift
-        if not (data := new.point.data).is_judged_like(point.data):  # bins are left out beside a crack
+        alike = (data := new.point.data).is_judged_like(point.data)
+        if not alike:  # bins are left out beside a crack, and those of a line that the model lacks
             shift = last.heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
         now, survey = surveyed_rung(new.model, new.point, self._y)
         now = replace(now, heldout_nll=now.heldout_nll + shift)
@@ -115,7 +116,7 @@ class Ladder:
         if best.effect not in UNSCORED_EFFECTS and now.heldout_nll >= last.heldout_nll:
             return "does not improve the held-out likelihood"
         gain_nats = (last.heldout_nll - now.heldout_nll) * point.data.blocks * point.data.block
-        idle = now.missing[0] >= last.missing[0] and not gain_nats > THRESHOLDS.min_gain_nats
+        idle = alike and now.missing[0] >= last.missing[0] and not gain_nats > THRESHOLDS.min_gain_nats
         if best.effect in PERIODIC_EFFECTS and idle:
             return "does not reduce the missing force"
         self.whole, self._shift, self.survey = new, shift, survey
