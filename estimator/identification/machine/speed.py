@@ -24,7 +24,7 @@ SPEED_CONTRADICTED = "speed_contradicted"  # the record turns at another speed t
 RATE_UNCONFIRMED = "rate_unconfirmed"  # a wrong rate explains the other speed as well, and no mains line denies it
 RATE_CONTRADICTED = "rate_contradicted"  # the record was sampled at another rate than it says
 SPEED_SUGGESTED = "speed_suggested"  # no speed is given; one comb of harmonics may be the shaft
-SPEED_NOT_SEEN = "speed_not_seen"  # no harmonic of the shaft stands out
+SPEED_NOT_SEEN = "speed_not_seen"  # no comb of harmonics of the shaft stands out
 RECORD_SOURCE: Final = "record"  # of a speed that the harmonics of the shaft show
 HARMONIC_COUNTS = (1, 3, 6)  # of the combs that are tried
 MAX_HARMONICS = HARMONIC_COUNTS[-1]
@@ -61,7 +61,7 @@ def shaft_speed(
         )
         return speed, [Message(SPEED_CONTRADICTED, text)]
     sd_rel = LIMITS.nameplate_sd_rel
-    text = f"no harmonic of the {60 * given:.0f} rpm of the rig file stands out: orders hold to {sd_rel:.0%}"
+    text = f"no comb of harmonics confirms the {60 * given:.0f} rpm of the rig file: orders hold to {sd_rel:.0%}"
     return speed, [Message(SPEED_NOT_SEEN, text)]
 
 
