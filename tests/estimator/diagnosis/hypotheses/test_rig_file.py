@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.rig_changes import (
     SwappedChannels,
     coupling_hypotheses,
 )
-from estimator.diagnosis.hypotheses.rig_file import is_common_slip, likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import is_common_slip, is_slip, likeliest_mistake
 from estimator.diagnosis.verdict.mistake import explaining_mistake
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -58,6 +58,22 @@ def test_a_common_slip_is_a_factor_of_two_or_ten_a_swap_or_an_inversion(
     values: tuple[float, ...], common: bool
 ) -> None:
     assert is_common_slip(values) is common
+
+
+@pytest.mark.parametrize(
+    ("factor", "mass", "spring"),
+    [
+        (1.05, False, False),
+        (1.4, True, True),
+        (0.4, True, True),
+        (0.16, False, True),
+        (8.0, True, True),
+        (20.0, False, False),
+    ],
+)
+def test_a_mass_is_wrong_by_a_slip_and_a_shaft_by_any_factor(factor: float, mass: bool, spring: bool) -> None:
+    assert is_slip(ScaledMass("bearing1"), (factor, 0.02)) is mass
+    assert is_slip(ScaledSpring(), (factor, 0.02)) is spring
 
 
 def test_channels_change_places_and_signs() -> None:
