@@ -162,6 +162,8 @@ def _judged_by_rule(
         say(0.92, "a mistake in the rig file?")
         if (mistaken := mistake(entries=entries)) is not None and leaves_less(mistaken.ranking[0], named):
             return mistaken
+    if not named and not untried and (best := better_predicting(entries, None, context)) is not None:
+        named = [best]
     entries += tones
     if not named:
         return _unknown(context, entries)

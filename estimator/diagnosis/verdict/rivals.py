@@ -23,11 +23,16 @@ def left_text(entry: Entry) -> str:
     return f"{100 * (share_left(entry) or 0.0):.0f} %"
 
 
-def better_predicting(entries: Sequence[Entry], named: Entry, context: Context) -> Entry | None:
+def better_predicting(entries: Sequence[Entry], named: Entry | None, context: Context) -> Entry | None:
     """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
 
-    All are fitted together with the model. What the better one leaves is missing beside it.
+    All are fitted together with the model. What the better one leaves is missing beside it. Where no law is named it is
+    the answer beside structural modes only: their errors are a force that no law explains.
+
+    named : the first that passed the gates; None for none.
     """
+    if not entries or named is None and context.point.data.background is None:
+        return None
 
     def gain(entry: Entry) -> float:
         fit = context.fits.get(entry.effect)
@@ -36,7 +41,9 @@ def better_predicting(entries: Sequence[Entry], named: Entry, context: Context) 
     first, *others = sorted(entries, key=gain, reverse=True)
     left = share_left(first)
     falls = first.after_percent < first.before_percent
-    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not falls or not np.isfinite(gain(named)):
+    if left is None or left > THRESHOLDS.max_left_of_likelier_rel or not falls:
+        return None
+    if is_overshadowed(first, entries) if named is None else not np.isfinite(gain(named)):
         return None
     return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
 

@@ -9,8 +9,9 @@ from typing import cast
 import pytest
 
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
-from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE
-from estimator.diagnosis.verdict.rivals import has_mistakes_for_rivals, is_overshadowed, leaves_less
+from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
+from estimator.diagnosis.verdict.joint_fit import JointFit
+from estimator.diagnosis.verdict.rivals import better_predicting, has_mistakes_for_rivals, is_overshadowed, leaves_less
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion.located_law import LocatedLaw
 
@@ -71,3 +72,26 @@ def test_a_mistake_is_named_where_it_leaves_less_than_half_of_what_the_law_leave
     """An anisotropy left 17 % of the bearing force where two cables were swapped, and had more nats."""
     assert leaves_less(law(9.0, 5.0, left_percent), [NAMED_LAW]) is less
     assert leaves_less(law(9.0, 5.0, left_percent), [])
+
+
+@pytest.mark.parametrize(
+    ("left_rel", "ahead_nats", "beside_modes", "is_answer"),
+    [
+        (0.4, 30.0, True, True),
+        (0.4, 30.0, False, False),  # no errors of modes that could be what it leaves
+        (0.6, 30.0, True, False),  # leaves more than half
+        (0.4, 5.0, True, False),  # within the resolution of the record
+    ],
+)
+def test_where_no_law_passes_the_best_predicting_one_is_the_answer_beside_modes(
+    left_rel: float, ahead_nats: float, beside_modes: bool, is_answer: bool
+) -> None:
+    gates = (GATES_PASSED[0], GateResult(gate=LEAVES_LITTLE, passed=False, measured=left_rel, limit=0.2))
+    best, other = law(90.0, 5.0, 2.0, *gates), replace(law(60.0, 5.0, 3.0, *gates), effect="another_law")
+    fits = {
+        e.effect: JointFit(entry=e, gain_nats=nats) for e, nats in ((best, 60.0 + ahead_nats), (other, 60.0))
+    }  # fmt: skip
+    data = SimpleNamespace(background="modes" if beside_modes else None)
+    context = cast(Context, SimpleNamespace(fits=fits, point=SimpleNamespace(data=data)))
+    assert better_predicting([best, other], None, context) is (best if is_answer else None)
+    assert better_predicting([], None, context) is None
