@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry, named_parameters
+from estimator.effects import LINE_NAMES
 from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
 from estimator.model.rig import Model
@@ -17,7 +18,7 @@ from .bearing import BearingJudgement
 
 
 def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, survey: RecordSurvey) -> BearingJudgement:
-    """The judgement with the clipped channels that the model does not know, named where no law is.
+    """The judgement with the clipped channels that the model does not know, named where no law is, and before a line.
 
     Parameters
     ----------
@@ -54,6 +55,6 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
         settings=by_effect,
         notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
     )
-    if found.verdict in ("complete", "unknown"):
+    if found.verdict in ("complete", "unknown", *LINE_NAMES):  # a line may be of the surroundings
         return replace(found, verdict=entry.effect, ranking=(entry, *found.ranking), separates="")
     return replace(found, ranking=(found.ranking[0], entry, *found.ranking[1:]))

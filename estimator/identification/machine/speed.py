@@ -44,10 +44,9 @@ def shaft_speed(
         text = f"a comb of harmonics of {found[0]:.2f} Hz may be the shaft: if so, set speed_rpm = {60 * found[0]:.0f}"
         return None, [Message(SPEED_SUGGESTED, text)]
     given = model.speed_rpm / 60.0
-    near = _comb(
-        spectra, given * (1 - LIMITS.nameplate_reach_rel), given * (1 + LIMITS.nameplate_reach_rel), free=False
-    )
-    if near is not None:
+    ends = given * (1 - LIMITS.nameplate_reach_rel), given * (1 + LIMITS.nameplate_reach_rel)
+    near = _comb(spectra, *ends, free=False)
+    if near is not None and min(abs(near[0] - end) for end in ends) > near[1]:  # at an end it may lie beyond
         hz, sd = near
         wander = _wander(spectra, hz)
         speed = ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source=RECORD_SOURCE, wander_rel=wander)

@@ -15,6 +15,7 @@ from hidden_effects import schema
 from estimator import Channel, DataError, EffectUse, Model, Setting, compare, diagnose, fit, improve, simulate
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.bearing import BearingJudgement
+from estimator.diagnosis.verdict.clipped import with_clipped_channels
 from estimator.diagnosis.verdict.diagnose import Diagnosis, verdict_of_layers
 from estimator.identification.judgeable import Layers
 from estimator.identification.machine import (
@@ -26,7 +27,7 @@ from estimator.identification.machine import (
     StrikeTrain,
     Tone,
 )
-from estimator.identification.record import ChannelSummary, RecordSurvey
+from estimator.identification.record import ChannelSummary, RecordSurvey, survey_record
 from estimator.identification.structure import StructureSurvey
 from estimator.model import BearingGeometry
 from estimator.results import NOT_CONCLUSIVE, NOT_JUDGED, Message, Parameter
@@ -291,3 +292,12 @@ def test_complete_is_not_said_where_an_effect_of_three_per_cent_could_hide() -> 
     assert found.verdict == "unknown"
     for messages in (compared.messages, found.messages):
         assert NOT_CONCLUSIVE in [message.code for message in messages]
+
+
+@pytest.mark.parametrize(("bearing", "expected"), [("line", "sensor_clipping"), ("cubic", "cubic")])
+def test_a_clipped_channel_goes_before_a_line_and_after_a_law(bearing: str, expected: str) -> None:
+    y = np.clip(np.random.default_rng(1).standard_normal((4096, 2)), [-1.5, -9.0], [1.5, 9.0])
+    record = survey_record(ONE_CAP_RIG, y, RATE_HZ)
+    found = with_clipped_channels(judged(bearing), ONE_CAP_RIG, y, record)
+    assert found.verdict == expected
+    assert {e.effect for e in found.ranking} == {"sensor_clipping", bearing}

@@ -94,6 +94,16 @@ def test_a_speed_that_the_record_contradicts_is_said() -> None:
     assert "speed_suggested" in [m.code for m in survey_of(x, None).messages]
 
 
+def test_a_comb_at_the_end_of_what_a_nameplate_allows_is_no_speed() -> None:
+    """What is likeliest at an end of the range that is searched may be the flank of something beyond."""
+    n = int(10 * RATE_HZ)
+    for ratio, source in ((0.96, "record"), (0.9502, "rig file")):
+        x = coloured_noise(n) + tone(ratio * 30.0, 0.2, n) + tone(2.0 * ratio * 30.0, 0.2, n)
+        speed = survey_of(x, 60 * 30.0).speed
+        assert speed is not None
+        assert speed.source == source
+
+
 def test_a_wrong_rate_is_told_from_a_wrong_speed_by_the_mains() -> None:
     n = int(10 * RATE_HZ)
     x = coloured_noise(n) + sum(tone(0.976 * hz, 0.2, n) for hz in (25.0, 50.0, 60.0, 120.0))
