@@ -200,9 +200,11 @@ def _with_stiffness(values: JointValues, caps: list[int], ln_k: Array) -> JointV
 
 
 def _thinned(problem: JointSpectrum, step: int) -> JointSpectrum:
-    """The problem with one of `step` cells."""
-    cells = {name: getattr(problem.spectra, name)[::step] for name in ("f_hz", "psd", "n", "noise")}
-    rotor = {name: getattr(problem, name)[::step] for name in ("Z0", "laws", "shape", "shaft")}
+    """The problem with one of `step` cells, and the last one: the splines depend on the band."""
+    last = problem.spectra.f_hz.size - 1
+    kept = np.append(np.arange(0, last, step), last)
+    cells = {name: getattr(problem.spectra, name)[kept] for name in ("f_hz", "psd", "n", "noise")}
+    rotor = {name: getattr(problem, name)[kept] for name in ("Z0", "laws", "shape", "shaft")}
     return replace(problem, spectra=replace(problem.spectra, **cells), **rotor)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ from estimator import Channel, Model, compare, fit
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure.cross_spectra import CrossSpectra
 from estimator.identification.structure.joint_spectrum import JointSpectrum, JointValues, ModePlace
+from estimator.identification.structure.spectral_problem import smooth_start
 from estimator.identification.structure.thresholds import LIMITS
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import BearingBackground, StructuralMode
 
 RATE_HZ = 8192.0
@@ -129,6 +133,24 @@ def test_a_value_at_its_limit_does_not_hold_the_others_back() -> None:
     J, r = problem.score(found)
     left_nats = 0.5 * (J[free] @ r) @ np.linalg.solve(J[free] @ J[free].T, J[free] @ r)
     assert left_nats < 1.0
+
+
+def test_a_band_that_just_holds_one_more_spline_is_searched() -> None:
+    """The cells of a scan span the band, as its splines do."""
+    f = np.linspace(100.0, 100.0 * 2.0 ** (2.0 * LIMITS.plain_octaves) * 1.001, 250)
+    s, kL, c = 2j * np.pi * f, (2.0 * np.pi * 150.0) ** 2, 60.0
+    power = np.abs(s**2 / (s**2 + kL + c * s)) ** 2 + 1e-3
+    spectra = CrossSpectra(
+        places=(0,), f_hz=f, psd=power[:, None, None].astype(complex), n=np.full(250, 40.0), noise=np.ones((250, 1))
+    )
+    problem = JointSpectrum(
+        spectra=spectra, Z0=(s * s)[:, None, None], laws=np.zeros((250, 1), complex), mass=np.ones(1),
+        shape=np.ones((250, 1)), damping0=np.log([c]), shaft=np.zeros((250, 1, 1), complex),
+    )  # fmt: skip
+    data = SimpleNamespace(mass=np.ones(1), band=(f[0], f[-1]))
+    point = SimpleNamespace(data=data, S=np.ones(1), nu=np.array([1e-3]), kL=np.array([0.5 * kL]), c=np.array([c]))
+    _, found = smooth_start(problem, cast(WorkingPoint, point))
+    assert np.exp(found.values.stiffness[0]) == pytest.approx(kL, rel=0.01)
 
 
 def test_derivatives_of_the_likelihood_are_those_of_its_differences() -> None:
