@@ -17,7 +17,7 @@ from .channel_summary import Moments, finite_pieces, longest_stretch, power_spec
 from .clipping import clipping_level
 from .findings import CLIPPED_CODE, SPIKES_CODE, STILL_CODES, ChannelSummary, RecordFinding
 from .spikes import robust_scale, spike_rows
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,8 +89,8 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
         found.append(
             record.finding(
                 "absurd_values",
-                f"has {absurd} samples beyond {LIMITS.max_value_si:g} {record.channel.unit}, which are left out: "
-                "check its unit, its scale and its byte order",
+                f"has {absurd} samples beyond {RECORD_LIMITS.max_value_si:g} {record.channel.unit}, which are left "
+                "out: check its unit, its scale and its byte order",
                 usable=absurd < 0.01 * (absurd + record.moments.count),
             )
         )
@@ -123,13 +123,13 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
     """Stretches in which the channel stands still much longer than its own motion lets it."""
     y = record.y
     runs = true_runs(y[1:] == y[:-1]) + [0, 1]
-    runs = runs[runs[:, 1] - runs[:, 0] >= LIMITS.min_frozen_samples]
+    runs = runs[runs[:, 1] - runs[:, 0] >= RECORD_LIMITS.min_frozen_samples]
     if not runs.size:
         return None
     up = int(np.count_nonzero((y[1:] > record.robust[0]) & (y[:-1] <= record.robust[0])))
     moving = record.moments.count - int(np.diff(runs).sum())
     period = max(moving, 1) / max(up, 1)
-    frozen = [(a, b) for a, b in runs.tolist() if b - a >= LIMITS.min_frozen_periods * period]
+    frozen = [(a, b) for a, b in runs.tolist() if b - a >= RECORD_LIMITS.min_frozen_periods * period]
     if not frozen:
         return None
     share = sum(b - a for a, b in frozen) / record.moments.count
@@ -141,18 +141,18 @@ def _frozen(record: ChannelRecord) -> RecordFinding | None:
         f"{b / record.rate_hz:.4g} s{more} ({_per_cent(share)} of the record): leave this time out (--from, --to), "
         "check the sensor and its cable",
         tuple(frozen),
-        usable=share <= LIMITS.max_frozen_share,
+        usable=share <= RECORD_LIMITS.max_frozen_share,
     )
 
 
 def _few_levels(record: ChannelRecord) -> RecordFinding | None:
     """A quantisation step that is coarse against the signal."""
-    part = next(z for z in finite_pieces(record.y) if z.size)[: LIMITS.levels_samples]
+    part = next(z for z in finite_pieces(record.y) if z.size)[: RECORD_LIMITS.levels_samples]
     levels = np.unique(part)
     if levels.size > 64:
         return None
     step, sd = float(np.median(np.diff(levels))) if levels.size > 1 else np.inf, float(np.std(part))
-    if levels.size > 2 and step <= LIMITS.max_step_per_sd * sd:
+    if levels.size > 2 and step <= RECORD_LIMITS.max_step_per_sd * sd:
         return None
     if levels.size <= 2:
         what = "has only two values: one bit of information"
@@ -162,7 +162,7 @@ def _few_levels(record: ChannelRecord) -> RecordFinding | None:
     return record.finding(
         "few_levels",
         f"{what}; use a smaller sensor range or more bits, and check bit position, length and scale of the signal",
-        usable=levels.size > 2 and step <= LIMITS.max_step_per_sd_usable * sd,
+        usable=levels.size > 2 and step <= RECORD_LIMITS.max_step_per_sd_usable * sd,
     )
 
 
@@ -188,13 +188,13 @@ def _clipped(record: ChannelRecord) -> RecordFinding | None:
     level, count = found
     share = count / record.moments.count
     text = f"is clipped at +-{level:.3g} {record.channel.unit} in {_per_cent(share)} of its samples"
-    if share <= LIMITS.max_clipped_share_bearing:
+    if share <= RECORD_LIMITS.max_clipped_share_bearing:
         return record.finding("peaks_clipped", f"{text}: too few to matter; a larger sensor range is safer")
     advice = _range_to_take(record, level, share)
     return record.finding(
         CLIPPED_CODE,
         f"{text}: no value is reliable; {advice}",
-        usable=share <= LIMITS.max_clipped_share,
+        usable=share <= RECORD_LIMITS.max_clipped_share,
         judged=False,
     )
 
@@ -212,18 +212,18 @@ def _offset(record: ChannelRecord) -> RecordFinding | None:
     """A mean that no sensor at rest has."""
     mean, sd, unit = record.moments.mean, record.moments.sd, record.channel.unit
     if record.channel.kind == "acceleration":
-        if abs(mean) > LIMITS.max_offset_m_s2 and abs(abs(mean) / g**2 - 1.0) < LIMITS.gravity_error_rel:
+        if abs(mean) > RECORD_LIMITS.max_offset_m_s2 and abs(abs(mean) / g**2 - 1.0) < RECORD_LIMITS.gravity_error_rel:
             return record.finding(
                 "wrong_unit",
                 f"has a mean of {mean:.4g} m/s^2, gravity times 9.81: its samples are m/s^2 and the rig file says g",
             )
-        if abs(abs(mean) - 1.0) < LIMITS.gravity_error_rel and sd < 0.1:
+        if abs(abs(mean) - 1.0) < RECORD_LIMITS.gravity_error_rel and sd < 0.1:
             return record.finding(
                 "wrong_unit",
                 f"has a mean of {mean:.4g} m/s^2, as gravity has in g: check whether its unit is g",
             )
-    big = record.channel.kind == "acceleration" and abs(mean) > max(LIMITS.max_offset_m_s2, 3.0 * sd)
-    if not big and abs(mean) <= LIMITS.max_offset_per_sd * sd:
+    big = record.channel.kind == "acceleration" and abs(mean) > max(RECORD_LIMITS.max_offset_m_s2, 3.0 * sd)
+    if not big and abs(mean) <= RECORD_LIMITS.max_offset_per_sd * sd:
         return None
     return record.finding(
         "offset",
@@ -238,20 +238,22 @@ def _wrong_unit(record: ChannelRecord) -> RecordFinding | None:
     size = min(sd, 3.0 * record.robust[1]) if record.robust[1] > 0.0 else sd
     what = ""
     if kind == "acceleration":
-        if not LIMITS.min_acceleration_rms <= size <= LIMITS.max_acceleration_rms:
+        if not RECORD_LIMITS.min_acceleration_rms <= size <= RECORD_LIMITS.max_acceleration_rms:
             what = f"an rms of {size:.3g} m/s^2 ({size / g:.2g} g)"
-        elif (v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)) > LIMITS.max_velocity_rms and size > 0.5 * sd:
+        elif (
+            v := 1e-3 * (record.summary.velocity_rms_mm_s or 0.0)
+        ) > RECORD_LIMITS.max_velocity_rms and size > 0.5 * sd:
             what = f"a velocity of {1e3 * v:.3g} mm/s rms from 10 to 1000 Hz"
     elif kind == "velocity":
-        if not LIMITS.min_velocity_rms_any <= size <= LIMITS.max_velocity_rms:
+        if not RECORD_LIMITS.min_velocity_rms_any <= size <= RECORD_LIMITS.max_velocity_rms:
             what = f"an rms of {1e3 * size:.3g} mm/s"
     elif kind == "displacement":
         peak, follows = record.moments.span / 2.0, _acceleration_of(record)
-        if size < LIMITS.min_displacement_rms:
+        if size < RECORD_LIMITS.min_displacement_rms:
             what = f"an rms of {size:.3g} m"
-        elif peak > LIMITS.max_displacement_m and size > 0.5 * sd:
+        elif peak > RECORD_LIMITS.max_displacement_m and size > 0.5 * sd:
             what = f"a displacement of +-{peak:.3g} m"
-        elif follows > LIMITS.max_displacement_acceleration and size > 0.5 * sd:
+        elif follows > RECORD_LIMITS.max_displacement_acceleration and size > 0.5 * sd:
             what = f"an acceleration of {follows:.3g} m/s^2 rms by its displacement"
     if not what:
         return None
@@ -279,7 +281,7 @@ def _repeated(record: ChannelRecord) -> RecordFinding | None:
     if step.size < 100:
         return None
     share = float(np.mean(step == 0.0))
-    if share < LIMITS.min_repeated_share or share > 0.999:
+    if share < RECORD_LIMITS.min_repeated_share or share > 0.999:
         return None
     moved = step[step > 0.0]
     least = float(np.quantile(moved, min(share, 0.5)))
@@ -305,10 +307,10 @@ def _empty_spectrum(record: ChannelRecord) -> RecordFinding | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         f, psd, _ = power_spectrum(record.y, record.rate_hz, min(4096, longest))
-        floor = (record.moments.span * 2.0**-LIMITS.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
+        floor = (record.moments.span * 2.0**-RECORD_LIMITS.converter_bits) ** 2 / 12.0 / (0.5 * record.rate_hz)
         full = np.flatnonzero(~(psd < floor))
     edge = float(f[full[-1]]) if full.size else 0.0
-    if edge >= LIMITS.empty_spectrum_share * record.rate_hz:
+    if edge >= RECORD_LIMITS.empty_spectrum_share * record.rate_hz:
         return None
     return record.finding(
         "empty_spectrum",

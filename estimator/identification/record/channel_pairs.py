@@ -15,7 +15,7 @@ from estimator.model.rig import MOTION_UNITS
 from .channel_faults import ChannelRecord
 from .channel_summary import longest_run, segment_starts, segments
 from .findings import RecordFinding
-from .thresholds import LIMITS, PIECE_ROWS
+from .thresholds import PIECE_ROWS, RECORD_LIMITS
 
 DERIVATIVE_ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}  # of the displacement
 UNIT_FACTORS = {  # between two units that are mixed up
@@ -45,16 +45,16 @@ class PairSpectra:
 def pair_spectra(a: ChannelRecord, b: ChannelRecord) -> PairSpectra | None:
     """Spectra, each channel over its largest value, where both have samples; None with too few segments."""
     both = np.isfinite(a.y) & np.isfinite(b.y)
-    size = min(LIMITS.segment_samples, 1 << max(longest_run(both), 1).bit_length() - 1)
+    size = min(RECORD_LIMITS.segment_samples, 1 << max(longest_run(both), 1).bit_length() - 1)
     if size < 64:
         return None
     window = np.hanning(size + 1)[:-1]
     sums, count = np.zeros((3, size // 2 + 1), np.complex128), 0
-    for starts in segment_starts(both, size, LIMITS.max_pair_segments):
+    for starts in segment_starts(both, size, RECORD_LIMITS.max_pair_segments):
         p, q = (rfft(segments(r.y, starts, size) * (window / _scale(r)), axis=1) for r in (a, b))
         sums += np.stack([np.sum(p * p.conj(), 0), np.sum(q * q.conj(), 0), np.sum(p.conj() * q, 0)])
         count += starts.size
-    if count < LIMITS.min_segments:
+    if count < RECORD_LIMITS.min_segments:
         return None
     sums /= count
     f = np.asarray(np.fft.rfftfreq(size, 1.0 / a.rate_hz))
@@ -105,13 +105,13 @@ def _finding(code: str, a: ChannelRecord, b: ChannelRecord, text: str, unusable:
 def _copy(a: ChannelRecord, b: ChannelRecord) -> RecordFinding | None:
     """The second channel as a copy of the first one, but for gain and offset."""
     share, factor = _residual_of_copy(a, b)
-    if share > LIMITS.max_copy_residual_share:
+    if share > RECORD_LIMITS.max_copy_residual_share:
         return None
     gain = factor * _scale(b) / _scale(a)
     exact = share < 1e-12
     if not exact:
         spectra = pair_spectra(a, b)
-        if spectra is None or float(np.median(spectra.coherence)) < LIMITS.min_copy_coherence:
+        if spectra is None or float(np.median(spectra.coherence)) < RECORD_LIMITS.min_copy_coherence:
             return None
     one, other = a.channel.name, b.channel.name
     how = "identical" if exact and gain == 1.0 else f"a copy: {gain:.4g} times {one}"
@@ -133,7 +133,7 @@ def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]
     where the residual of the first samples alone is more than the share of a copy of the whole power.
     """
     total, products, means = 0, np.zeros((2, 2)), np.zeros(2)
-    whole, most = b.moments.count * (b.moments.sd / _scale(b)) ** 2, LIMITS.max_copy_residual_share
+    whole, most = b.moments.count * (b.moments.sd / _scale(b)) ** 2, RECORD_LIMITS.max_copy_residual_share
     for p, q in _common_pieces(a, b):
         total += p.size
         pieces = np.stack([p, q])
@@ -169,7 +169,7 @@ def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float]) -> 
     if (spectra := pair_spectra(a, b)) is None:
         return []
     use = (spectra.f >= band[0]) & (spectra.f <= min(band[1], 0.4 * a.rate_hz))
-    use &= spectra.coherence > LIMITS.min_same_dof_coherence
+    use &= spectra.coherence > RECORD_LIMITS.min_same_dof_coherence
     if np.count_nonzero(use) < 4:
         return []
     orders = DERIVATIVE_ORDERS[b.channel.kind] - DERIVATIVE_ORDERS[a.channel.kind]
@@ -193,7 +193,7 @@ def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float]) -> 
     size = abs(gain)
     for factor, words in UNIT_FACTORS.items():
         for expected in (factor, 1.0 / factor):
-            if abs(size / expected - 1.0) < LIMITS.max_gain_error:
+            if abs(size / expected - 1.0) < RECORD_LIMITS.max_gain_error:
                 text = f"{one} and {other} of {a.channel.place} differ by a factor of {size:.4g}: {words}?"
                 return [_finding("wrong_unit", a, b, text)]
     return []
@@ -208,20 +208,20 @@ def _gain(values: Complexes) -> tuple[complex, float]:
 
 def _level_steps(records: Sequence[ChannelRecord]) -> list[RecordFinding]:
     """Channels whose level drops or jumps while the others keep theirs."""
-    if len(records) < 2 or len(records[0].y) < 16 * LIMITS.level_pieces:
+    if len(records) < 2 or len(records[0].y) < 16 * RECORD_LIMITS.level_pieces:
         return []
-    size = len(records[0].y) // LIMITS.level_pieces
+    size = len(records[0].y) // RECORD_LIMITS.level_pieces
     levels = np.array([_levels_db(r.y, size, _scale(r)) for r in records])
     out = []
     for i, record in enumerate(records):
         others = np.delete(levels, i, axis=0)
         relative = levels[i] - np.mean(others, axis=0)
         there = relative[np.isfinite(relative)]
-        if not there.size or np.ptp(there) <= LIMITS.min_level_step_db:
+        if not there.size or np.ptp(there) <= RECORD_LIMITS.min_level_step_db:
             continue
         at, step = _largest_step(relative)
         rest = np.array([_step_at(o, at) for o in others])
-        if abs(step) > LIMITS.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
+        if abs(step) > RECORD_LIMITS.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
             word, cause = ("drops", "a loose sensor or cable") if step < 0.0 else ("rises", "a loose contact")
             name, time = record.channel.name, at * size / record.rate_hz
             text = f"{name} {word} by {abs(step):.0f} dB at {time:.3g} s and the other channels do not: {cause}?"
@@ -239,8 +239,8 @@ def _level_steps(records: Sequence[ChannelRecord]) -> list[RecordFinding]:
 
 def _levels_db(y: Array, size: int, largest: float) -> Array:
     """(level_pieces,) level of each piece in dB below the largest value; NaN where half of the samples are missing."""
-    out = np.full(LIMITS.level_pieces, np.nan)
-    for k in range(LIMITS.level_pieces):
+    out = np.full(RECORD_LIMITS.level_pieces, np.nan)
+    for k in range(RECORD_LIMITS.level_pieces):
         piece = y[k * size : (k + 1) * size]
         there = np.isfinite(piece)
         if 2 * np.count_nonzero(there) > size:
@@ -251,7 +251,7 @@ def _levels_db(y: Array, size: int, largest: float) -> Array:
 
 def _largest_step(level: Array) -> tuple[int, float]:
     """Piece at which the level steps most, and the step of the median in dB; four pieces on either side."""
-    steps = [(_step_at(level, at), at) for at in range(4, LIMITS.level_pieces - 3)]
+    steps = [(_step_at(level, at), at) for at in range(4, RECORD_LIMITS.level_pieces - 3)]
     step, at = max(steps, key=lambda s: abs(s[0]))
     return at, step
 

@@ -13,7 +13,7 @@ from estimator.arrays import Array, true_runs
 from estimator.model.recorder import AntiAlias
 
 from .findings import ChannelSummary
-from .thresholds import LIMITS, PIECE_ROWS
+from .thresholds import PIECE_ROWS, RECORD_LIMITS
 
 
 def longest_run(there: NDArray[np.bool_]) -> int:
@@ -81,7 +81,7 @@ def power_spectrum(
     """
     window = np.hanning(samples + 1)[:-1] / scale
     total, count = np.zeros(samples // 2 + 1), 0
-    for starts in segment_starts(np.isfinite(y), samples, LIMITS.max_summary_segments):
+    for starts in segment_starts(np.isfinite(y), samples, RECORD_LIMITS.max_summary_segments):
         transform = rfft((segments(y, starts, samples) * window).astype(dtype, copy=False), axis=1)
         total += np.sum(transform.real**2 + transform.imag**2, axis=0)
         count += starts.size
@@ -95,9 +95,9 @@ def usable_hz(recorder: AntiAlias | None, rate_hz: float) -> float:
     recorder : the filter of the rig file. None: not known, and the rate over 2.56 is taken.
     """
     if recorder is None:
-        return rate_hz / LIMITS.rate_per_passed_hz
+        return rate_hz / RECORD_LIMITS.rate_per_passed_hz
     f: Array = np.linspace(0.0, 0.5 * rate_hz, 2000)
-    beyond = np.flatnonzero(np.abs(recorder.response(f, rate_hz)) < LIMITS.min_passed_amplitude)
+    beyond = np.flatnonzero(np.abs(recorder.response(f, rate_hz)) < RECORD_LIMITS.min_passed_amplitude)
     return min(float(f[beyond[0]]) if beyond.size else 0.5 * rate_hz, recorder.trusted_to_hz(rate_hz))
 
 
@@ -107,13 +107,13 @@ def velocity_rms(y: Array, kind: str, rate_hz: float, reach_hz: float, scale: fl
     y : (n,) m/s^2 or m/s. reach_hz : up to which a level is known. scale : size of the samples: powers of numbers about
     1 neither overflow nor vanish.
     """
-    if kind not in ("acceleration", "velocity") or reach_hz < LIMITS.iso_band_hz[1]:
+    if kind not in ("acceleration", "velocity") or reach_hz < RECORD_LIMITS.iso_band_hz[1]:
         return None
     longest = longest_stretch(y)
-    if longest < LIMITS.min_stretch_s * rate_hz:
+    if longest < RECORD_LIMITS.min_stretch_s * rate_hz:
         return None
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, LIMITS.segment_s * rate_hz)), scale, np.float32)
-    inside = (f >= LIMITS.iso_band_hz[0]) & (f <= LIMITS.iso_band_hz[1])
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_LIMITS.segment_s * rate_hz)), scale, np.float32)
+    inside = (f >= RECORD_LIMITS.iso_band_hz[0]) & (f <= RECORD_LIMITS.iso_band_hz[1])
     order = 2.0 if kind == "acceleration" else 0.0
     power = psd[inside] / (2.0 * np.pi * f[inside]) ** order
     return float(np.sqrt(np.sum(power) * (f[1] - f[0]))) * scale

@@ -7,7 +7,7 @@ from scipy.special import betainc
 
 from estimator.arrays import Array
 
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
@@ -31,18 +31,18 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
     low, high = np.nanmin(y), np.nanmax(y)
-    reach = LIMITS.extreme_range_rel * (high - low)
+    reach = RECORD_LIMITS.extreme_range_rel * (high - low)
     ends = _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
     found = [end for end in ends if end is not None]
     if found:
         return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
-    near = (1.0 - LIMITS.extreme_range_rel) * top
+    near = (1.0 - RECORD_LIMITS.extreme_range_rel) * top
     size = np.abs(y[(y > near) | (y < -near)])
     if size.size <= 40:
         return None
     # no noise: the same crest again and again
-    if len(np.unique(np.round(size / top, 6))) <= LIMITS.max_repeated_values:
+    if len(np.unique(np.round(size / top, 6))) <= RECORD_LIMITS.max_repeated_values:
         return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
@@ -55,13 +55,13 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
 def _pileup(z: Array) -> tuple[float, int] | None:
     """Largest of some values and number of those that have it; None if a falling density allows as many."""
     top = z.max()
-    equal = z >= top - LIMITS.rounding_rel * abs(top)
+    equal = z >= top - RECORD_LIMITS.rounding_rel * abs(top)
     count = int(np.count_nonzero(equal))
     below = z[~equal]
-    if count <= LIMITS.min_pile_samples or not below.size:
+    if count <= RECORD_LIMITS.min_pile_samples or not below.size:
         return None
-    next_count = np.count_nonzero(below >= below.max() - LIMITS.rounding_rel * abs(top))
-    return (float(top), count) if count > 3 * next_count + LIMITS.min_pile_samples else None
+    next_count = np.count_nonzero(below >= below.max() - RECORD_LIMITS.rounding_rel * abs(top))
+    return (float(top), count) if count > 3 * next_count + RECORD_LIMITS.min_pile_samples else None
 
 
 def pileup_p_value(count: int) -> float:
@@ -75,4 +75,4 @@ def pileup_p_value(count: int) -> float:
     count : int
         Samples at the extreme value.
     """
-    return float(betainc(count, max(count - LIMITS.min_pile_samples, 0) / 3 + 1, 0.5))
+    return float(betainc(count, max(count - RECORD_LIMITS.min_pile_samples, 0) / 3 + 1, 0.5))

@@ -19,7 +19,7 @@ from estimator.parallel import map_threads
 from .channel_summary import longest_stretch, moments, power_spectrum, summarise, usable_hz
 from .findings import CLIPPED_CODE, SPIKES_CODE, STILL_CODES, ChannelSummary, RecordFinding, RecordSurvey
 from .survey import survey_record
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 from .usable import without_spikes
 from .zones import Zone, iso_zone
 
@@ -135,9 +135,9 @@ def _wrong_values(name: str, z: Array, findings: Sequence[RecordFinding], at_ful
     if wrong := next((f.text for f in findings if f.code in WRONG_VALUE_CODES), ""):
         return dict.fromkeys(ALL_NAMES, wrong)
     share = at_full_scale / max(1, at_full_scale + int(np.count_nonzero(np.isfinite(z))))
-    if share > LIMITS.max_clipped_share_bearing:
+    if share > RECORD_LIMITS.max_clipped_share_bearing:
         text = f"{name} is at full scale in {100 * share:.2g} % of its samples: use a larger range"
-        return dict.fromkeys(ALL_NAMES if share > LIMITS.max_clipped_share else SHAPE_NAMES[1:], text)
+        return dict.fromkeys(ALL_NAMES if share > RECORD_LIMITS.max_clipped_share else SHAPE_NAMES[1:], text)
     clipped = next((f for f in findings if f.code == CLIPPED_CODE), None)
     if clipped is None:
         return {}
@@ -154,11 +154,11 @@ def _of_channel(
     reach_hz, seconds = usable_hz(model.anti_alias, rate_hz), longest_stretch(y) / rate_hz
     bands, displacement = _levels(y, kind, rate_hz, reach_hz)
     velocity = summary.velocity_rms_mm_s
-    least_s, short = LIMITS.min_stretch_s, ""
+    least_s, short = RECORD_LIMITS.min_stretch_s, ""
     if seconds < least_s:
         short = f"the longest stretch without a gap has {seconds:.3g} s: 10 Hz needs {least_s:g} s"
     beyond = _reach_text(model, rate_hz, reach_hz)
-    unreached = beyond if reach_hz < LIMITS.iso_band_hz[1] else short
+    unreached = beyond if reach_hz < RECORD_LIMITS.iso_band_hz[1] else short
     if kind == "displacement" and not unreached:
         void["velocity_rms_mm_s"] = HOUSING_TEXT
     if unreached:
@@ -184,18 +184,18 @@ def _of_channel(
 def _levels(y: Array, kind: str, rate_hz: float, reach_hz: float) -> tuple[tuple[BandLevel, ...], float | None]:
     """Levels in the fixed bands, and displacement from 10 to 1000 Hz in um rms; none of a record that is too short."""
     longest = longest_stretch(y)
-    if longest < LIMITS.min_stretch_s * rate_hz:
+    if longest < RECORD_LIMITS.min_stretch_s * rate_hz:
         return (), None
     scale = float(np.nanmax(np.abs(y))) or 1.0
-    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, LIMITS.segment_s * rate_hz)), scale)
+    f, psd, _ = power_spectrum(y, rate_hz, int(min(longest, RECORD_LIMITS.segment_s * rate_hz)), scale)
     bands = []
-    for low, high in zip(LIMITS.band_edges_hz[:-1], LIMITS.band_edges_hz[1:], strict=True):
+    for low, high in zip(RECORD_LIMITS.band_edges_hz[:-1], RECORD_LIMITS.band_edges_hz[1:], strict=True):
         if low >= reach_hz:
             break
         inside = (f >= low) & (f < high)
         rms = float(np.sqrt(np.sum(psd[inside]) * f[1])) * scale if high <= reach_hz else None
         bands.append(BandLevel(low_hz=low, high_hz=high, rms=rms))
-    low, high = LIMITS.iso_band_hz
+    low, high = RECORD_LIMITS.iso_band_hz
     inside = (f >= low) & (f <= high)
     order = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0}[kind]
     power = float(np.sum(psd[inside] / (2.0 * np.pi * f[inside]) ** order) * f[1])
@@ -215,6 +215,6 @@ def _why_no_zone(model: Model) -> str:
     """Why a velocity has no zone; "" if it has one."""
     if model.iso20816 is None:
         return 'no machine class: add [machine] iso20816 = { part = 3, group = 2, support = "rigid" } to the rig file'
-    if model.speed_rpm is not None and model.speed_rpm < LIMITS.min_iso_speed_rpm:
+    if model.speed_rpm is not None and model.speed_rpm < RECORD_LIMITS.min_iso_speed_rpm:
         return f"at {model.speed_rpm:g} rpm the standard judges from 2 Hz on, and this velocity begins at 10 Hz"
     return ""

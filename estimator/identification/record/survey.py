@@ -14,7 +14,7 @@ from .channel_faults import ChannelRecord, find_channel_faults
 from .channel_pairs import find_pair_faults
 from .channel_summary import longest_run, moments, usable_hz
 from .findings import STILL_CODES, ChannelSummary, RecordFinding, RecordSurvey
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 
 
 def survey_record(model: Model, y: Array, rate_hz: float) -> RecordSurvey:
@@ -65,7 +65,7 @@ def _surveyed(
 ) -> tuple[ChannelRecord, ChannelSummary, list[RecordFinding]]:
     """One channel (n,), its summary, and its faults. reach_hz : up to which a level is known."""
     z = np.ascontiguousarray(y)  # read more than ten times
-    own, largest, absurd = moments(z), LIMITS.max_value_si, 0
+    own, largest, absurd = moments(z), RECORD_LIMITS.max_value_si, 0
     if max(own.high, -own.low) > largest or own.count + np.count_nonzero(np.isnan(z)) < len(z):
         wrong = np.abs(z) > largest
         absurd = int(np.count_nonzero(wrong & np.isfinite(z)))
@@ -90,13 +90,13 @@ def _missing(channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set
     out = []
     for k, count in zip(moving, counts, strict=True):
         share = 1.0 - count / total if total else 0.0
-        if share > LIMITS.max_missing_share:
+        if share > RECORD_LIMITS.max_missing_share:
             name = channels[k].name
             text = f"{name} lacks {100 * share:.2g} % of the samples that other channels have: check its link"
             out.append(RecordFinding(code="missing_samples", channels=(name,), text=text, places=(channels[k].place,)))
     spans = true_runs(any_there)
     share = 1.0 - float(np.mean(any_there))
-    if share > LIMITS.max_missing_rows_share and len(spans) > 1:
+    if share > RECORD_LIMITS.max_missing_rows_share and len(spans) > 1:
         longest = longest_run(any_there)
         text = (
             f"{100 * share:.2g} % of the rows are missing in {len(spans) - 1} gaps; the longest stretch without one "

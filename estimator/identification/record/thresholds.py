@@ -155,4 +155,4 @@ class Thresholds:
     level_sd_rel: float = 1e-3  # of the level of a limiter: noise behind it blurs it
 
 
-LIMITS = Thresholds()
+RECORD_LIMITS = Thresholds()  # of a channel that is judged by its samples alone

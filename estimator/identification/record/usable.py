@@ -17,7 +17,7 @@ from estimator.results import Message, Parameter
 
 from .clipping import clipping_level
 from .findings import SPIKES_CODE, RecordSurvey
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -141,7 +141,7 @@ def level_parameter(found: tuple[float, int] | None, kind: str) -> Parameter:
     """
     if found is None:
         return Parameter(None, None, MOTION_UNITS[kind], identifiable=False, reason="the channel does not clip")
-    return Parameter(found[0], LIMITS.level_sd_rel * found[0], MOTION_UNITS[kind])
+    return Parameter(found[0], RECORD_LIMITS.level_sd_rel * found[0], MOTION_UNITS[kind])
 
 
 def record_messages(survey: RecordSurvey) -> tuple[Message, ...]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from estimator.model.rig import MachineClass
 
-from .thresholds import LIMITS
+from .thresholds import RECORD_LIMITS
 
 Zone = Literal["A", "B", "C", "D"]
 
@@ -60,7 +60,7 @@ def zone_limits(machine: MachineClass) -> ZoneLimits:
         Part of the standard, and the kind of machine.
     """
     if machine.part == 7:
-        return ZONE_LIMITS[7, machine.category, (machine.power_kw or 0.0) > LIMITS.max_small_pump_kw]
+        return ZONE_LIMITS[7, machine.category, (machine.power_kw or 0.0) > RECORD_LIMITS.max_small_pump_kw]
     return ZONE_LIMITS[tuple(machine.to_json().values())]
 
 
