@@ -14,9 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from estimator.arrays import Array, Complexes, products
 from estimator.likelihood.response.spectral_matrices import (
@@ -122,7 +124,7 @@ class JointPoint:
     R: Complexes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class JointSpectrum:
     """The likelihood of the spectral matrices of one direction.
 
@@ -161,14 +163,15 @@ class JointSpectrum:
     octaves: float = np.inf
     fall_power: int = 0
     work: Work = field(default_factory=Work)  # of this problem and of those made from it
-    basis: Array = field(init=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def basis(self) -> Array:
+        """(cells, splines) the curves of which ln S is made."""
         f = self.spectra.f_hz
         pieces = int(np.log2(f[-1] / f[0]) / self.octaves)
         splines = spline_basis(np.log(f), max(pieces, 1), min(LIMITS.spline_degree, pieces))
         fall = (f[:, None] / f[-1]) ** self.fall_power if self.fall_power else np.zeros((f.size, 0))
-        object.__setattr__(self, "basis", np.hstack([splines, fall]))
+        return np.hstack([splines, fall])
 
     @property
     def flat(self) -> Array:
@@ -202,8 +205,8 @@ class JointSpectrum:
         S = self.shape * np.exp(self.basis @ values.force.T)
         N = np.exp(values.noise) * spectra.noise
         nats, T, signal, W, R = spectral_model(Z, s, S, N, spectra.psd, spectra.n)
-        prior, centre = self._prior(values)
-        apart = values.vector() - centre
+        prior, expected = self.prior
+        apart = values.vector()[: expected.size] - expected
         nats -= 0.5 * float(apart @ prior @ apart)
         return JointPoint(values=values, log_likelihood=nats, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R)
 
@@ -306,12 +309,14 @@ class JointSpectrum:
         """
         point = self.at(values)
         low, high = self._limits(values)
-        prior, centre = self._prior(values)
-        damped = 1e-3
+        prior, expected = self.prior
+        known, damped = slice(expected.size), 1e-3
         for _ in range(steps):
             J, r = self.score(point)
             x = point.values.vector()
-            information, gradient = products(J) + prior, J @ r - prior @ (x - centre)
+            information, gradient = products(J), J @ r
+            information[known, known] += prior
+            gradient[known] -= prior @ (x[known] - expected)
             free = np.flatnonzero(~((x <= low) & (gradient < 0.0) | (x >= high) & (gradient > 0.0)))
             information, gradient = information[np.ix_(free, free)], gradient[free]
             new: JointPoint | None = None
@@ -329,17 +334,16 @@ class JointSpectrum:
                 break
         return point
 
-    def _prior(self, values: JointValues) -> tuple[Array, Array]:
-        """(parameters, parameters) information known before on the parameters, and (parameters,) what they are expected
-        at."""
-        caps, splines = values.force.shape
-        information, centre = np.zeros((values.vector().size,) * 2), np.zeros(values.vector().size)
-        about_mean = np.diag(self.flat) - np.outer(self.flat, self.flat) / self.flat.sum()
-        information[: caps * splines, : caps * splines] = np.kron(np.eye(caps), about_mean / LIMITS.spline_prior_sd**2)
-        first = caps * (splines + 2)
-        at = np.arange(first, first + caps)
-        information[at, at], centre[at] = 1.0 / LIMITS.damping_prior_sd**2, self.damping0
-        return information, centre
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Information on the parameters of forces, noise, stiffness and damping, and what they are expected at.
+
+        (k, k) and (k,), in the order of `JointValues.vector`; nothing is known before on those that follow.
+        """
+        caps, about_mean = np.eye(self.mass.size), np.diag(self.flat) - np.outer(self.flat, self.flat) / self.flat.sum()
+        force, unknown = np.kron(caps, about_mean / LIMITS.spline_prior_sd**2), np.zeros(2 * len(caps))
+        expected = np.concatenate([np.zeros(len(force)), unknown, self.damping0])
+        return block_diag(force, np.diag(unknown), caps / LIMITS.damping_prior_sd**2), expected
 
     def _better(self, point: JointPoint, values: JointValues) -> JointPoint | None:
         """The point at some values if it is likelier; None if not."""

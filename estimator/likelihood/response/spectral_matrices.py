@@ -125,6 +125,6 @@ def derivative_rows(
     by_force = _rows_of_products(force, force.conj(), 0.5 * root * s.imag**4 * S.T)
     by_knot = by_force[:, None, :] * np.tile(basis.T, caps * caps)
     by_noise = _rows_of_products(noise, noise.conj(), 0.5 * root * N.T)
-    right = np.asarray(sum(dZ[:, :, j] * rows[:, j].T[:, None] for j in range(caps)), np.complex128)
+    right = (dZ.swapaxes(0, 1) @ rows).transpose(2, 1, 0)
     by_stiffness = _rows_of_products(force[:, cap_of], right, root)
     return np.concatenate([by_knot.reshape(-1, by_force.shape[1]), by_noise, by_stiffness])
