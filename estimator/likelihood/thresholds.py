@@ -127,6 +127,7 @@ class Thresholds:
     min_single_rms: float = 1e-30  # rms per unit that single precision holds (x^5 of a quiet bearing is below)
     # every so manyth sample gives the weights of the projection, which is then subtracted exactly
     projection_stride: int = 4
+    min_independent_rms_rel: float = 1e-4  # of a regressor's rms, left by the others: less is rounding
 
     # response/self_energy
     min_covariance_s: float = 8.0  # of record for the covariances, at least

@@ -221,6 +221,12 @@ def _spectrum(
     )
 
 
+def hann_peak_offset_bins(three: Array) -> float:
+    """Offset of a line from the middle of three bins about its peak, bins. three : amplitudes, under a Hann window."""
+    a, b, c = three
+    return float(np.clip((2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b), -0.7, 0.7))
+
+
 def hann_spectrum(x: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
     """(pieces, bins) amplitudes of tones in pieces (pieces, n) less their means, under a Hann window; precise as x."""
     from scipy.fft import rfft

@@ -11,6 +11,7 @@ from estimator.errors import DataError, ModelError
 from estimator.identification.residual.group_fit import ridge_information
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.fitted_values import fitted_model
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.path.subproblem import coupled_places, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -56,7 +57,12 @@ def _known(model: Model) -> Model:
 
 
 def heldout_gain_nats(before: WorkingPoint, after: WorkingPoint) -> float:
-    """Held-out nats that a fit gains over another one, both judged on the same bins of the same record."""
+    """Held-out nats that a fit gains over another one of the same record, on the bins that the former judges.
+
+    Beside a law of the shaft bins are left out: the other model is fitted to the rest as well.
+    """
+    if not after.data.is_judged_like(before.data):
+        before = fit_model(after.data, list(before.placed), start=before)
     return (heldout_nll(before) - heldout_nll(after)) * after.data.blocks * after.data.block
 
 

@@ -87,14 +87,12 @@ class BearingSurvey:
 
     def _holds_when_fitted(self, law: Entry) -> bool:
         """Whether a law predicts as surely, with a possible amplitude, where all else is fitted together with it."""
-        before = self.part
+        part = self.part
         try:
-            after = fit_model(before.data, [*before.placed, *law.placed], start=before)
-            if not after.data.is_judged_like(before.data):  # beside a law of the shaft bins are left out
-                before = fit_model(after.data, list(before.placed), start=before)
+            after = fit_model(part.data, [*part.placed, *law.placed], start=part)
+            gains = heldout_gain_nats(part, after) >= THRESHOLDS.rival_nats
         except NotFiniteError:
             return False
-        gains = heldout_gain_nats(before, after) >= THRESHOLDS.rival_nats
         return gains and not has_impossible_amplitude(law, after)
 
     @property

@@ -6,6 +6,7 @@ bearing alone there is no witness. A wrong speed or rate is told by the machine 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -19,6 +20,16 @@ from estimator.model.rig import MOTION_UNITS, EffectUse, Model, Setting
 from estimator.results import Parameter
 
 Values = tuple[float, ...]  # none, or a factor and the standard deviation of its logarithm
+
+
+def is_common_slip(values: Values) -> bool:
+    """Whether a mistake has no factor, or one of two or ten within what a rough factor allows."""
+    return not values or _log_from_common_slip(values[0]) < THRESHOLDS.max_factor_sd_log
+
+
+def _log_from_common_slip(factor: float) -> float:
+    """Distance of the logarithm of a factor from that of the nearest common slip."""
+    return min(abs(math.log(factor / common)) for common in THRESHOLDS.trial_factors)
 
 
 class Hypothesis(Protocol):
@@ -41,6 +52,10 @@ class Hypothesis(Protocol):
         """Where the channels are with the change. places : of the channels as given."""
         return channels
 
+    def is_slip(self, values: Values) -> bool:
+        """Whether a user may have made the change by mistake."""
+        return True
+
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         """What the rig file would say, by key."""
         ...
@@ -61,6 +76,12 @@ class ScaledNumber(Hypothesis, Protocol):
 
     def propose(self, model: Model) -> Sequence[Values]:
         return [(factor, 1.0) for factor in THRESHOLDS.trial_factors]
+
+    def is_slip(self, values: Values) -> bool:
+        """Whether the factor differs from one by more than instruments and its standard deviation allow, up to ten."""
+        low = max(THRESHOLDS.min_factor_log, THRESHOLDS.min_factor_sd * values[1])
+        high = math.log(max(THRESHOLDS.trial_factors)) + THRESHOLDS.min_factor_log
+        return low < abs(math.log(values[0])) < high
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
         number = values[0] * self.number(model)
@@ -85,6 +106,11 @@ class ScaledMass(ScaledNumber):
 
     def number(self, model: Model) -> float:
         return model.mass[self.key]
+
+    def is_slip(self, values: Values) -> bool:
+        """As of any number; a mass is weighed, so it is wrong by less than two, or by about two or ten."""
+        odd = _log_from_common_slip(values[0]) > 2.0 * THRESHOLDS.max_factor_sd_log
+        return ScaledNumber.is_slip(self, values) and not (odd and abs(math.log(values[0])) > math.log(2.0))
 
     def apply(self, model: Model, values: Values) -> Model:
         return replace(model, mass={**model.mass, self.key: values[0] * self.number(model)})

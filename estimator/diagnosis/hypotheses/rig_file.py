@@ -24,7 +24,7 @@ from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LI
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import Model
 
-from .rig_changes import Hypothesis, ScaledMass, SwappedChannels, Values, coupling_hypotheses
+from .rig_changes import Hypothesis, SwappedChannels, Values, coupling_hypotheses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,7 +240,7 @@ def _likeliest(trials: _Trials, given: RigFit) -> Mistake | None:
         return None
     found = _with_rivals(trials, found)
     best, least = found[0], THRESHOLDS.rival_nats * found[0].fit.dispersion * spectra.dispersion
-    if best.fit.nats - given.nats < least or not is_slip(best.hypothesis, best.values):
+    if best.fit.nats - given.nats < least or not best.hypothesis.is_slip(best.values):
         return None
     spectra.begin_again()  # the rig as given has the modes of the best one on trial too
     trials.pending.append(best.hypothesis.name)
@@ -303,29 +303,3 @@ def _explains_coherence(given: RigFit, changed: RigFit) -> bool:
     if given.coherence_p_value > THRESHOLDS.coherence_max_p_value:
         return False
     return changed.coherence_nats <= THRESHOLDS.coherence_max_left_rel * given.coherence_nats
-
-
-def is_common_slip(values: Values) -> bool:
-    """Whether a mistake has no factor, or one of two or ten within what a rough factor allows."""
-    return not values or _log_from_common_slip(values[0]) < THRESHOLDS.max_factor_sd_log
-
-
-def _log_from_common_slip(factor: float) -> float:
-    """Distance of the logarithm of a factor from that of the nearest common slip."""
-    return min(abs(float(np.log(factor / common))) for common in THRESHOLDS.trial_factors)
-
-
-def is_slip(hypothesis: Hypothesis, values: Values) -> bool:
-    """Whether a factor differs from one by more than instruments and its standard deviation allow, and is a slip.
-
-    A shaft is computed, and its stiffness may be wrong by any factor. A mass is weighed: it is wrong by less than two,
-    or by about a common slip.
-    """
-    if not values:
-        return True
-    size = abs(float(np.log(values[0])))
-    low = max(THRESHOLDS.min_factor_log, THRESHOLDS.min_factor_sd * values[1])
-    high = float(np.log(max(THRESHOLDS.trial_factors))) + THRESHOLDS.min_factor_log
-    weighed = isinstance(hypothesis, ScaledMass)
-    odd = size > np.log(2.0) and _log_from_common_slip(values[0]) > 2.0 * THRESHOLDS.max_factor_sd_log
-    return low < size < high and not (weighed and odd)

@@ -199,7 +199,7 @@ def _explained(context: Context, entries: list[Entry], refused: frozenset[str]) 
     if named:
         ranking, notes = (*named, *rest), named[0].notes
         if surrounded and named[0].effect in LINE_NAMES and not context.point.data.speed:
-            text = f"a line at {named[0].notes[0].text} is all that is found, and every shaft has such lines"
+            text = f"a line at {notes[0].text} is all that is found, and every shaft has such lines"
             said = Message(NOT_CONCLUSIVE, f"{text}: give speed_rpm or a tacho channel")
             return BearingJudgement("unknown", ranking, messages=(said, *notes[1:]))
         return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=notes)

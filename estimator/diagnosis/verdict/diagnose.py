@@ -27,7 +27,7 @@ from estimator.results import NOT_JUDGED, RIG_FILE, Message
 from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake
 from .clipped import with_clipped_channels
 from .signal_findings import (
-    RING_TONES,
+    RING_TONES_CODE,
     have_one_order,
     line_entries,
     rig_file_entry,
@@ -154,28 +154,28 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
 
     A bearing defect goes before a law of the motion: impacts make laws look right. Tones alone at the order of a defect
     do not: a law stands beside them. A defect goes before a law of the shaft's angle unless that modulates the
-    vibration at the order of the strikes with the smaller p-value. The order of a
-    defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
-    named only where no model of the bearings explains the record and no impacts repeat, which have many lines. A wrong
-    speed or rate in the rig file is named where nothing is missing, or nothing but a line or a spectral shape has a
-    name: a wrong rate distorts every spectrum. Where no speed names a tone that dominates, nothing is called complete.
+    vibration at the order of the strikes with the smaller p-value. The order of a defect is that of the strikes.
+    Imbalance and misalignment go before what is only the trace of a tone. A line is named only where no model of the
+    bearings explains the record and no impacts repeat, which have many lines. A wrong speed or rate in the rig file is
+    named where nothing is missing, or nothing but a line or a spectral shape has a name: a wrong rate distorts every
+    spectrum. Where no speed names a tone that dominates, nothing is called complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
     if not (bearing.judged or machine.strikes) and all(use.name != LINE.name for use in model.effects):
         signal += line_entries(model, record, machine)
-    first = signal[0] if signal else None
-    keeps = first is None or _keeps_its_verdict(bearing, first)
-    verdict = bearing.verdict if keeps or first is None else first.effect
+    overruling = next((e for e in signal[:1] if not _keeps_its_verdict(bearing, e)), None)
+    verdict = bearing.verdict if overruling is None else overruling.effect
     severe = severe_tone_message(model, record, machine)
     if severe is not None and _is_no_cause_of_tones(verdict):
         verdict = "unknown"
-    if not keeps and first is not None:
-        bearing = _with_notes_of(first, bearing)
+    if overruling is not None:
+        bearing = _with_notes_of(overruling, bearing)
     mistaken = rig_file_entry(model, machine, rate_hz) if _goes_after_mistakes(verdict) else None
     if mistaken is not None:
         verdict = RIG_FILE
         bearing = replace(bearing, ranking=(mistaken[0], *bearing.ranking), messages=(mistaken[1], *bearing.messages))
+    keeps = overruling is None
     names = {entry.effect for entry in bearing.ranking} if keeps else set()
     ranking = _ranking(bearing.ranking, [entry for entry in signal if entry.effect not in names], keeps)
     return Diagnosis(
@@ -203,7 +203,7 @@ def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
         return have_one_order(law, first)
     if effect.found_by != "law":
         return False
-    if first.effect != LOCAL_DEFECT.name or any(note.code == RING_TONES for note in first.notes):
+    if first.effect != LOCAL_DEFECT.name or any(note.code == RING_TONES_CODE for note in first.notes):
         return True
     return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
 

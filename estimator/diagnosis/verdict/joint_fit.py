@@ -88,10 +88,7 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     entry, after = at_identifiable_bearings(part, entry, after)
     if has_impossible_amplitude(entry, after):
         return JointFit(entry=entry, left_rel=1.0, gain_nats=-np.inf)
-    before = part
-    if not after.data.is_judged_like(part.data):  # beside a law of the shaft bins are left out
-        before = fit_model(after.data, list(part.placed), start=part)
-    gain = heldout_gain_nats(before, after)
+    gain = heldout_gain_nats(part, after)
     left = missing_force.survey(after, model, only=survey.missing.places_found())
     known = fitted_parameters(after)
     values = {name: known.get(name, p) for name, p in entry.parameters.items()}

@@ -9,7 +9,8 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.rig_file import Mistake, MistakeTrial, is_common_slip, likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_changes import is_common_slip
+from estimator.diagnosis.hypotheses.rig_file import Mistake, MistakeTrial, likeliest_mistake
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects, is_disturbance

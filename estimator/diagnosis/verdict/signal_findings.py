@@ -34,7 +34,7 @@ from estimator.results import RIG_FILE, Message, Parameter
 
 from .mistake import mistake_entry
 
-RING_TONES = "tones_at_bearing_order"  # code
+RING_TONES_CODE = "tones_at_bearing_order"  # of a message: tones alone show a defect of a ring
 NO_KINEMATIC_NAME = "other"  # of a strike train at no kinematic order of the bearing
 INTEGRATIONS_TO_VELOCITY = {  # by unit
     MOTION_UNITS[kind]: count for kind, count in (("acceleration", 1), ("velocity", 0), ("displacement", -1))
@@ -121,26 +121,27 @@ def ring_tone_entries(model: Model, record: RecordSurvey, machine: MachineSurvey
     speed, bearing = machine.speed, model.bearing
     if speed is None or bearing is None or any(use.name == BALL_PASS.name for use in model.effects):
         return []
-    own = kinematics(bearing)
-    orders = {name: own[name] for name in ("BPFO", "BPFI")}
     tones = [tone for tone in machine.tones if tone.kind == "other"]
-    limits = MACHINE_THRESHOLDS
-    p = limits.tone_pair_chance * len(tones) * (len(tones) - 1)
+    p_value = MACHINE_THRESHOLDS.tone_pair_chance * len(tones) * (len(tones) - 1)
+    if p_value > MACHINE_THRESHOLDS.max_p_value:
+        return []
+    kinematic = kinematics(bearing)
+    orders = {ring: kinematic[ring] for ring in ("BPFO", "BPFI")}
     for share, tone, channel in sorted(_power_shares(record, tones), key=lambda s: -s[0]):
         order = tone.frequency_hz / speed.hz
-        ring = next((name for name, at in orders.items() if abs(order / at - 1.0) <= STRIKE_LIMITS.max_slip_rel), None)
+        ring = next((ring for ring, at in orders.items() if abs(order / at - 1.0) <= STRIKE_LIMITS.max_slip_rel), None)
         multiple = next((k for k in (2, 3) for other in tones if _is_multiple(other, tone, k)), None)
-        if ring is None or multiple is None or share < limits.min_line_power_share or p > limits.max_p_value:
+        if ring is None or multiple is None or share < MACHINE_THRESHOLDS.min_line_power_share:
             continue
         place = _place(model, channel)
         known = Parameter(order, order * speed.sd_rpm / speed.value_rpm, "1")
         text = (
             f"tones at {order:.3f} x shaft speed ({ring}), {share:.0%} of the power of {channel}, and at {multiple} "
-            f"times that: a defect of a ring, of which the band holds few harmonics; another source at this order does "
+            "times that: a defect of a ring, of which the band holds few harmonics; another source at this order does "
             "the same"
         )
-        entry = _entry(LOCAL_DEFECT.name, place, p, {f"{place}.{LOCAL_DEFECT.name}.order": known})
-        return [replace(entry, notes=(Message(RING_TONES, text),))]
+        entry = _entry(LOCAL_DEFECT.name, place, p_value, {f"{place}.{LOCAL_DEFECT.name}.order": known})
+        return [replace(entry, notes=(Message(RING_TONES_CODE, text),))]
     return []
 
 

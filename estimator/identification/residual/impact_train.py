@@ -23,7 +23,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.bearing_theory import kinematics
 from estimator.model.rig import Model
 from estimator.results import Parameter
-from estimator.signals.line_spectrum import LineSpectrum
+from estimator.signals.line_spectrum import LineSpectrum, hann_peak_offset_bins
 
 from . import harmonic_fit
 from .thresholds import LIMITS
@@ -133,14 +133,8 @@ def _refined_fundamental(s: LineSpectrum, Zs: Array, hz: float, high: float) -> 
         at = int(round(k * hz * s.seconds))
         near = Z[max(at - 1, 0) : at + 2]
         if near.size == 3 and near[1] > LIMITS.visible_power_ratio and near[1] >= near.max():
-            hz += ((at + peak_offset_bins(np.sqrt(near))) / s.seconds - k * hz) / k * 0.5
+            hz += ((at + hann_peak_offset_bins(np.sqrt(near))) / s.seconds - k * hz) / k * 0.5
     return hz
-
-
-def peak_offset_bins(three: Array) -> float:
-    """Offset of a peak from the middle of three bins under a Hann window, bins. three : amplitudes."""
-    a, b, c = three
-    return float(np.clip((2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b), -0.7, 0.7))
 
 
 def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:

@@ -30,7 +30,13 @@ from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import corrected_record
-from estimator.signals.line_spectrum import LineSpectrum, line_spectrum, order_spectrum, residual_spectrum
+from estimator.signals.line_spectrum import (
+    LineSpectrum,
+    hann_peak_offset_bins,
+    line_spectrum,
+    order_spectrum,
+    residual_spectrum,
+)
 
 from . import harmonic_fit, impact_train
 from .thresholds import LIMITS
@@ -123,7 +129,7 @@ def _outstanding_lines(s: LineSpectrum, known: Sequence[float], threshold: float
 def _peak_hz(s: LineSpectrum, k: int, i: int) -> float:
     """Frequency (Hz) of the peak at bin k of channel i, from the amplitudes of three bins."""
     three = np.abs(s.Y[i, [k - 1, k, min(k + 1, s.f_hz.size - 1)]]).astype(np.float64)
-    return float(s.f_hz[k]) + impact_train.peak_offset_bins(three) / s.seconds
+    return float(s.f_hz[k]) + hann_peak_offset_bins(three) / s.seconds
 
 
 def line_forces(point: WorkingPoint, s: LineSpectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:

@@ -206,7 +206,7 @@ def orthogonalised(term: Regressor, spans: Spans) -> Regressor | None:
     """The regressor less its projection on the base, series and tangent alike.
 
     The likelihood is the same function of the new parameter; nearly equal regressors keep their difference in single
-    precision. None if less than 1e-4 of the rms is left.
+    precision. None if less than `min_independent_rms_rel` of the rms is left.
     """
     series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
     before = after = 0.0
@@ -222,7 +222,7 @@ def orthogonalised(term: Regressor, spans: Spans) -> Regressor | None:
         series[i] = rest
         before += float(z @ z)
         after += float(rest @ rest)
-    if not after > 1e-8 * before:
+    if not after > LIMITS.min_independent_rms_rel**2 * before:
         return None
     n = next(iter(series.values())).size
     return replace(

@@ -14,8 +14,9 @@ from estimator.diagnosis.hypotheses.rig_changes import (
     ScaledSpring,
     SwappedChannels,
     coupling_hypotheses,
+    is_common_slip,
 )
-from estimator.diagnosis.hypotheses.rig_file import is_common_slip, is_slip, likeliest_mistake
+from estimator.diagnosis.hypotheses.rig_file import likeliest_mistake
 from estimator.diagnosis.verdict.mistake import explaining_mistake
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -72,8 +73,8 @@ def test_a_common_slip_is_a_factor_of_two_or_ten_a_swap_or_an_inversion(
     ],
 )
 def test_a_mass_is_wrong_by_a_slip_and_a_shaft_by_any_factor(factor: float, mass: bool, spring: bool) -> None:
-    assert is_slip(ScaledMass("bearing1"), (factor, 0.02)) is mass
-    assert is_slip(ScaledSpring(), (factor, 0.02)) is spring
+    assert ScaledMass("bearing1").is_slip((factor, 0.02)) is mass
+    assert ScaledSpring().is_slip((factor, 0.02)) is spring
 
 
 def test_channels_change_places_and_signs() -> None:

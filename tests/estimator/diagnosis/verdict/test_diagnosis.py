@@ -19,7 +19,7 @@ from estimator.effects.engine.strength import size, strengths
 from estimator.model.rig import EffectUse, Model
 
 UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
-BEYOND = {  # what is said where the law itself is not named
+VERDICTS_IN_PLACE_OF_THE_LAW = {  # by effect and share of the bearing force, where the hidden law is not named
     ("bouc_wen", 0.02): "complete",  # linear but for 0.3 % of the bearing force, less than `compare` sees in a minute
     ("stribeck", 0.02): "coulomb",  # which it refines
     ("stribeck", 0.06): "unknown",  # coulomb leaves a quarter
@@ -76,7 +76,7 @@ def test_a_clipped_sensor_is_named_and_its_place_is_not_judged(rig: Model) -> No
 def test_catalogue(effect: str, strength: float) -> None:
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     found = diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict
-    assert found == BEYOND.get((effect, strength), "complete" if effect in UNTOLD else effect)
+    assert found == VERDICTS_IN_PLACE_OF_THE_LAW.get((effect, strength), "complete" if effect in UNTOLD else effect)
 
 
 @pytest.mark.slow
