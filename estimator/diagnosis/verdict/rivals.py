@@ -10,6 +10,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
 
 from .gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
+from .joint_fit import gain_together
 
 
 def share_left(entry: Entry) -> float | None:
@@ -27,7 +28,8 @@ def better_predicting(entries: Sequence[Entry], named: Entry | None, context: Co
     """The law that leaves more than the named one, but less than half, and predicts better than all; None for none.
 
     All are fitted together with the model. What the better one leaves is missing beside it. Where no law is named it is
-    the answer beside structural modes only: their errors are a force that no law explains.
+    the answer beside structural modes only: their errors are a force that no law explains. It is no answer where the
+    second law still gains beside it, and so explains another force.
 
     named : the first that passed the gates; None for none.
     """
@@ -45,7 +47,12 @@ def better_predicting(entries: Sequence[Entry], named: Entry | None, context: Co
         return None
     if is_overshadowed(first, entries) if named is None else not np.isfinite(gain(named)):
         return None
-    return first if all(gain(first) > gain(e) + THRESHOLDS.rival_nats for e in others) else None
+    if any(gain(first) <= gain(e) + THRESHOLDS.rival_nats for e in others):
+        return None
+    if named is None and others and gain(others[0]) > THRESHOLDS.rival_nats:
+        together = gain_together(context.survey, first, others[0])
+        return None if together > gain(first) + THRESHOLDS.rival_nats else first
+    return first
 
 
 def is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:
