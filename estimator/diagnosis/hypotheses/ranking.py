@@ -14,6 +14,7 @@ from estimator.effects import CATALOGUE, LINE_NAMES, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
+from estimator.identification.machine import is_mains_multiple
 from estimator.identification.residual import stiffness_order
 from estimator.identification.residual.group_fit import extra_power
 from estimator.identification.residual.missing_force import MissingForce
@@ -178,11 +179,16 @@ def is_sure_law(entry: Entry) -> bool:
 
 
 def _is_known_line(model: Model, finding: Finding) -> bool:
-    """Whether a finding is a line that the machine layer explains, or beside the band."""
+    """Whether a finding is a line that the machine layer explains, or beside the band.
+
+    A record that shows one multiple of the mains has others, too weak to be seen by themselves.
+    """
     if finding.effect not in LINE_NAMES:
         return False
     hz = next(iter(finding.settings.values()))["frequency"].value or 0.0
     low, high = model.band
+    if model.mains_hz is not None and is_mains_multiple(hz, model.mains_hz):
+        return True
     return not low < hz < high or any(band.has_cause and band.holds(hz) for band in model.record_lines or ())
 
 

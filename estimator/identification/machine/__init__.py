@@ -3,7 +3,7 @@
 from .machine_survey import MachineSurvey, ShaftSpeed, StrikeTrain, Tone
 from .speed import RATE_CONTRADICTED, RATE_UNCONFIRMED, RECORD_SOURCE, SPEED_CONTRADICTED
 from .survey import survey_machine
-from .tones import joined_bands
+from .tones import is_mains_multiple, joined_bands
 
 __all__ = [
     "RATE_CONTRADICTED",
@@ -14,6 +14,7 @@ __all__ = [
     "ShaftSpeed",
     "StrikeTrain",
     "Tone",
+    "is_mains_multiple",
     "joined_bands",
     "survey_machine",
 ]

@@ -12,7 +12,7 @@ from .spectra import channel_spectra
 from .speed import SPEED_SUGGESTED, rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
-from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
+from .tones import lines_to_leave_out, shown_mains_hz, significant_lines, tones_of, without_strike_lines
 
 
 def survey_machine(
@@ -65,8 +65,7 @@ def survey_machine(
     if speed is not None:
         remarks = rate_remarks(lines, speed, model.speed_rpm, remarks)
     rms = {name: moments(y[:, columns[name]]).sd for name in {line.channel for line in lines}}
-    tones = tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms)
-    shown, more = _shown(tones)
+    shown, more = _shown(tones_of(without_strike_lines(lines, strikes, speed), speed, units, rms))
     left_out = lines_to_leave_out(lines, model.band, speed)
     return MachineSurvey(
         speed=speed,
@@ -74,6 +73,7 @@ def survey_machine(
         strikes=tuple(strikes),
         messages=(*missing, *remarks, *struck, *more),
         line_bands={name: tuple(line.band for line in left_out if line.channel == name) for name in spectra},
+        mains_hz=shown_mains_hz(lines, speed),
     )
 
 

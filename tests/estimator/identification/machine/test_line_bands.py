@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimator import Channel, EffectUse, Model, Setting, compare, simulate
+from estimator.identification.machine import is_mains_multiple
 from estimator.identification.machine.line_bands import with_lines_left_out
 from estimator.identification.machine.tones import Line, lines_to_leave_out, tones_of
 
@@ -67,6 +68,14 @@ def test_mains_hum_is_left_out_where_a_short_record_does_not_tell_it_from_a_mode
     units, rms = {"b1x": "m/s^2"}, {"b1x": 1.0}
     assert [tone.kind for tone in tones_of([hum, mode, blurred], None, units, rms)] == ["mains"]
     assert tones_of([mode, blurred], None, units, rms) == [], "a resonance at 59.2 Hz was called mains"
+
+
+@pytest.mark.parametrize(
+    ("hz", "is_one"), [(100.0, True), (149.9, True), (101.0, False), (60.0, False), (650.0, False)]
+)
+def test_a_multiple_of_the_mains_is_within_what_a_grid_and_a_clock_deviate(hz: float, is_one: bool) -> None:
+    """A weak line at 100 Hz was named beside hum at 50 Hz."""
+    assert is_mains_multiple(hz, 50.0) is is_one
 
 
 @pytest.mark.parametrize("why", ["force", "own", "unknown"])
