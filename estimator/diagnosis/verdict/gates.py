@@ -22,7 +22,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
-from .joint_fit import JointFit, joint_fit
+from .joint_fit import JointFit, gain_together, joint_fit
 
 INSIDE_LIMITS = "inside limits"  # name of the gate
 LEAVES_LITTLE = "leaves little"  # name of the gate
@@ -59,6 +59,10 @@ class Context:
             self.say(0.85, f"does {entry.effect} explain it?")
             self.fits[entry.effect] = joint_fit(self.model, self.point, self.y, self.survey, entry)
         return self.fits[entry.effect]
+
+    def gain_together(self, one: Entry, other: Entry) -> float:
+        """Held-out nats that two laws, fitted together with the model, gain over the model."""
+        return gain_together(self.survey, one, other)
 
 
 Gate = Callable[[Entry, Context], GateResult]

@@ -10,7 +10,6 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.thresholds import THRESHOLDS
 
 from .gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
-from .joint_fit import gain_together
 
 
 def share_left(entry: Entry) -> float | None:
@@ -50,7 +49,7 @@ def better_predicting(entries: Sequence[Entry], named: Entry | None, context: Co
     if any(gain(first) <= gain(e) + THRESHOLDS.rival_nats for e in others):
         return None
     if named is None and others and gain(others[0]) > THRESHOLDS.rival_nats:
-        together = gain_together(context.survey, first, others[0])
+        together = context.gain_together(first, others[0])
         return None if together > gain(first) + THRESHOLDS.rival_nats else first
     return first
 

@@ -9,7 +9,6 @@ from typing import cast
 import pytest
 
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
-from estimator.diagnosis.verdict import rivals
 from estimator.diagnosis.verdict.gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
 from estimator.diagnosis.verdict.joint_fit import JointFit
 from estimator.diagnosis.verdict.rivals import better_predicting, has_mistakes_for_rivals, is_overshadowed, leaves_less
@@ -86,16 +85,15 @@ def test_a_mistake_is_named_where_it_leaves_less_than_half_of_what_the_law_leave
     ],
 )
 def test_where_no_law_passes_the_best_predicting_one_is_the_answer_beside_modes(
-    left_rel: float, ahead_nats: float, beside_modes: bool, together_nats: float, is_answer: bool,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    monkeypatch.setattr(rivals, "gain_together", lambda *_: together_nats)
+    left_rel: float, ahead_nats: float, beside_modes: bool, together_nats: float, is_answer: bool
+) -> None:
     gates = (GATES_PASSED[0], GateResult(gate=LEAVES_LITTLE, passed=False, measured=left_rel, limit=0.2))
     best, other = law(90.0, 5.0, 2.0, *gates), replace(law(60.0, 5.0, 3.0, *gates), effect="another_law")
     fits = {
         e.effect: JointFit(entry=e, gain_nats=nats) for e, nats in ((best, 60.0 + ahead_nats), (other, 60.0))
     }  # fmt: skip
     data = SimpleNamespace(background="modes" if beside_modes else None)
-    context = cast(Context, SimpleNamespace(fits=fits, survey=None, point=SimpleNamespace(data=data)))
+    own = SimpleNamespace(fits=fits, point=SimpleNamespace(data=data), gain_together=lambda *_: together_nats)
+    context = cast(Context, own)
     assert better_predicting([best, other], None, context) is (best if is_answer else None)
     assert better_predicting([], None, context) is None
