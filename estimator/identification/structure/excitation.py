@@ -54,8 +54,8 @@ def cell_spectrum(
     band: tuple[float, float],
     lines: Sequence[LineBand] = (),
     trains_hz: Sequence[float] = (),
-) -> CellSpectrum | None:
-    """Spectrum of one channel in the band.
+) -> CellSpectrum | str:
+    """Spectrum of one channel in the band, or why the record has none.
 
     Parameters
     ----------
@@ -74,24 +74,22 @@ def cell_spectrum(
 
     Returns
     -------
-    CellSpectrum or None
-        None where the record is too short for its band, or nothing moves in it.
+    CellSpectrum or str
+        The reason is one line.
     """
-    seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
-    parts = LIMITS.short_pieces if seconds < LIMITS.short_s else LIMITS.pieces_per_record
-    seconds = min(max(seconds / parts, LIMITS.min_piece_s), LIMITS.max_piece_s)
-    pieces = Pieces(y, rate_hz, max_seconds=seconds)
-    high = min(band[1], 0.45 * rate_hz)
-    if len(pieces) < 2 or band[0] * pieces.seconds < 4.0 or high < 1.2 * band[0]:
-        return None
+    pieces, high = _resolving_pieces(y, rate_hz, band[0]), min(band[1], 0.45 * rate_hz)
+    if isinstance(pieces, str):
+        return pieces
+    if high < 1.2 * band[0]:
+        return f"the band is too narrow: it ends at {high:g} Hz"
     power, blocks = _piece_spectra(pieces)
     f = np.arange(power.size) / pieces.seconds
     inside = (f >= band[0]) & (f <= high)
     if not np.all(power[inside] > 0.0):
-        return None
+        return "nothing moves in the band"
     keep = np.flatnonzero(np.all([inside, beside_lines(f, lines), *(~_teeth(f, train) for train in trains_hz)], axis=0))
     if keep.size < 32:
-        return None
+        return f"the record resolves {keep.size} frequencies of the band beside lines and strikes, fewer than 32"
     first = first_of_cells(f[keep] / band[0], LIMITS.cell_width_rel)
     bins = np.diff(np.append(first, keep.size))
     centre = np.add.reduceat(f[keep], first) / bins
@@ -105,6 +103,22 @@ def cell_spectrum(
         noise=scale / scale.mean(),
         bin_hz=1.0 / pieces.seconds,
     )
+
+
+def _resolving_pieces(y: Array, rate_hz: float, low_hz: float) -> Pieces | str:
+    """The pieces of a record that resolve a band from low_hz, or why none do, one line. y : (n,)."""
+    seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
+    parts = LIMITS.short_pieces if seconds < LIMITS.short_s else LIMITS.pieces_per_record
+    seconds = min(max(seconds / parts, LIMITS.min_piece_s), LIMITS.max_piece_s)
+    pieces = Pieces(y, rate_hz, max_seconds=seconds)
+    if len(pieces) < 2:
+        return f"the record is too short: it has no two pieces of {seconds:.2g} s without a gap"
+    if (least_s := LIMITS.min_piece_periods / low_hz) > pieces.seconds:
+        return (
+            f"the record is too short for a band from {low_hz:g} Hz: record {least_s * parts:.0f} s, or begin the "
+            f"band at {LIMITS.min_piece_periods / pieces.seconds:.2g} Hz"
+        )
+    return pieces
 
 
 def first_of_cells(ratio: Array, width_rel: float) -> NDArray[np.intp]:

@@ -202,20 +202,20 @@ def survey_structure(
             columns.setdefault(channel.place, k)
     forces = {c.place for c in model.channels if c.kind == "force" and c.name not in record.unusable}
 
-    def at(place: str) -> PlaceStructure | None:
+    def at(place: str) -> PlaceStructure | str:
         k = columns[place]
         channel = model.channels[k]
         lines = machine.line_bands.get(channel.name, ())
         cells = cell_spectrum(y[:, k], channel.kind, rate_hz, model.band, lines, trains)
-        if cells is None:
-            return None
+        if isinstance(cells, str):
+            return cells
         own = _place(place, channel.name, cells, expected_modes(model, place))
         return _with_bearing_mode(own, place in forces)
 
     found = dict(zip(columns, map_threads(at, list(columns)), strict=True)) if np.ndim(y) == 2 else {}
     missing = {place: "its channel is unusable: see the record" for place in model.places if place not in columns}
-    missing |= {p: "the record is too short for the band, or nothing moves in it" for p in found if found[p] is None}
-    places = {place: own for place, own in found.items() if own is not None}
+    missing |= {place: own for place, own in found.items() if isinstance(own, str)}
+    places = {place: own for place, own in found.items() if not isinstance(own, str)}
     return StructureSurvey(band=model.band, places=places, missing=missing)
 
 

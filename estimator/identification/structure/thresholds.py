@@ -41,6 +41,7 @@ class Thresholds:
     short_pieces: int = 4  # blocks of a record, and of one shorter than so many s
     short_s: float = 10.0  # blocks of a record, and of one shorter than so many s
     min_piece_s: float = 0.05  # of a block; a longer one resolves more than modes need
+    min_piece_periods: float = 4.0  # of the lower edge of the band in a block: its cell is free of the mean
     max_piece_s: float = 20.0  # of a block; a longer one resolves more than modes need
     max_blocks: int = 16  # that are kept apart
     min_line_reach_bins: int = 3  # a line reaches as far as its side lobes, which fall with the distance^4
