@@ -10,6 +10,7 @@ from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry, named_parameters
 from estimator.effects import LINE_NAMES
 from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
+from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
 from estimator.model.rig import Model
 from estimator.results import Message
@@ -18,7 +19,9 @@ from .bearing import BearingJudgement
 
 
 def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, survey: RecordSurvey) -> BearingJudgement:
-    """The judgement with the clipped channels that the model does not know, named where no law is, and before a line.
+    """The judgement with the clipped channels that the model does not know, named where no law is.
+
+    A clipped channel goes before a line, which may be of the surroundings, and before the shape of a spectrum.
 
     Parameters
     ----------
@@ -55,6 +58,6 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
         settings=by_effect,
         notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
     )
-    if found.verdict in ("complete", "unknown", *LINE_NAMES):  # a line may be of the surroundings
+    if found.verdict in ("complete", "unknown", *LINE_NAMES) or is_cause_of_spectrum(found.verdict):
         return replace(found, verdict=entry.effect, ranking=(entry, *found.ranking), separates="")
     return replace(found, ranking=(found.ranking[0], entry, *found.ranking[1:]))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
+from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import written
 from estimator.identification.finding import effect_use
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -32,7 +33,7 @@ from estimator.likelihood.motion.harmonics import (
 )
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
-from estimator.model.rig import Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.signals.band_limit import passband
 
@@ -48,7 +49,8 @@ def fit_found_harmonics(
     """Parameters of periodic effects that a model lacks, fitted together with the model, and its new working point.
 
     settings : by effect, canonical location and name, as the detector found them. The detector takes each parameter by
-    itself, and the missing force has biased the stiffness and damping of the model.
+    itself, and the missing force has biased the stiffness and damping of the model. Where the fit separates no strength
+    from a width, the detector's frequency stays: the harmonics show it.
     """
     uses = tuple(effect_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
@@ -63,9 +65,16 @@ def fit_found_harmonics(
     whole = bare.known - data.known
     whole += point.force
     _, found = _step_until_settled(alone, point, whole)
+
+    def fitted(use: EffectUse, key: str, name: str, detected: Parameter) -> Parameter:
+        parameter = found.get(f"{key}.{use.name}.{name}", detected)
+        k = frequency_index(effect := effect_of(use))
+        is_frequency = k is not None and name == effect.parameters[k].name
+        return detected if is_frequency and not parameter.identifiable else parameter
+
     named = {
-        name: {key: {n: found.get(f"{key}.{name}.{n}", p) for n, p in values.items()} for key, values in own.items()}
-        for name, own in settings.items()
+        use.name: {key: {n: fitted(use, key, n, p) for n, p in values.items()} for key, values in own.items()}
+        for use, own in zip(uses, settings.values(), strict=True)
     }
     return named, point
 

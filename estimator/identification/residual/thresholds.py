@@ -28,7 +28,7 @@ class Thresholds:
     max_steps: int = 8  # of the parameters at one working point
     min_band_gain: float = 0.9  # of the band filter, at a frequency that counts as in the band
     # residual amplitude over that by the mean tangent: with less the laws explain the line
-    min_unexplained_rel: float = 0.5
+    min_unexplained_rel: float = 0.25
     settled_step_sd: float = 0.1  # of the last step, in standard deviations
 
     # impact_train
