@@ -18,6 +18,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.identification.residual.missing_force import negligible_force_share
+from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -139,12 +140,14 @@ def told_from_zero(entry: Entry, context: Context) -> GateResult:
     """Fitted together with the model, the candidate predicts held-out data: it is not zero.
 
     It has to predict as much as tells two candidates apart where the record gives none of its numbers, or where it is
-    not fitted together with the model.
+    not fitted together with the model; beside structural modes as much as one more mode would have to gain.
     """
     fit = context.fitted(entry)
     gain, values = fit.gain_nats, fit.entry.parameters.values()
     vague = gain is None or bool(values) and not any(value.identifiable for value in values)
     least = THRESHOLDS.rival_nats if vague else THRESHOLDS.min_gain_nats
+    if vague and entry.placed and context.point.data.background is not None:
+        least = STRUCTURE_LIMITS.min_gain_nats
     text = "held-out nats" if gain is None else "held-out nats, fitted with the model,"
     gain = entry.heldout_gain if gain is None else gain
     return GateResult(gate="told from zero", passed=gain >= least, measured=gain, limit=least, text=text)
