@@ -146,14 +146,14 @@ def curves(
 
 
 def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of the point's series that lie in some of its blocks."""
+    """Rows of the series of a working point that lie in the given blocks."""
     block = point.data.block
     pick = np.flatnonzero(np.isin(point.data.start, starts))
     return np.asarray((pick[:, None] * block + np.arange(block)).ravel(), dtype=np.int64)
 
 
 def _fit(residual: PlaceResidual, group: str) -> tuple[PathFit, list[str]]:
-    """The joint fit of a group and of all that was found, whose part is thereby taken out; no names without it."""
+    """The joint fit of a group and of all groups found, and the names of its regressors; no names without the group."""
     names = [n for n in residual.pool.extra if n.split(".")[0] == group]
     if not names or names[0] in residual.fit.names:
         return residual.fit, names
@@ -214,7 +214,7 @@ def _of_hats(
 
 
 def _without(D: Array, weight: Array) -> Array:
-    """The projection that takes the columns of D out of a curve, by weighted least squares."""
+    """The projection that removes the span of the columns of D from a curve, by weighted least squares."""
     D = D / np.maximum(np.sqrt((weight[:, None] * D**2).sum(axis=0)), 1e-300)
     return np.asarray(np.eye(len(D)) - D @ np.linalg.pinv(D.T @ (weight[:, None] * D), rcond=1e-8) @ (D.T * weight))
 
@@ -230,7 +230,7 @@ def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, a
 
 
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:
-    """Force at one rms of displacement, over a turn: a stiffness that turns with the shaft."""
+    """Force at one rms of displacement against the shaft angle: a stiffness that varies with the angle."""
     angle = np.radians(ANGLES_DEG)
     kept = [k for k, order in enumerate(orders) if order in LIMITS.turn_orders]
     A = np.column_stack([w(orders[k] * angle) for k in kept for w in (np.cos, np.sin)])

@@ -25,7 +25,7 @@ FITTED_SHARE = 0.7  # of a record with a measured force; the rest is simulated
 
 
 def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
-    """Channel -> rms in SI of measured minus free-run motion on the last part of the record; fitted to the first.
+    """Channel -> rms in SI of measured minus free-run motion on the last part of the record, fitted to the first part.
 
     Empty unless a force is measured at every place.
     """
@@ -46,7 +46,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
 
 
 def _known(model: Model) -> Model:
-    """The model without what no value was found for."""
+    """The model without the effects for which a value is not known."""
     uses = (
         replace(
             u, parameters={p: own for p, own in u.parameters.items() if all(s.value is not None for s in own.values())}
@@ -57,7 +57,7 @@ def _known(model: Model) -> Model:
 
 
 def heldout_gain_nats(before: WorkingPoint, after: WorkingPoint) -> float:
-    """Held-out nats that a fit gains over another one of the same record, on the bins that the former judges.
+    """Held-out nats that a fit gains over another fit of the same record, on the bins of the first fit.
 
     Beside a law of the shaft bins are left out: the other model is fitted to the rest as well.
     """

@@ -1,4 +1,4 @@
-"""What a fitted model leaves over: the one survey that `compare`, `diagnose` and `improve` read."""
+"""Survey of what a fitted model leaves unexplained: `compare`, `diagnose` and `improve` read this survey."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def law_text(law: Entry) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class BearingSurvey:
-    """What a fitted model leaves over.
+    """The part of a record that a fitted model leaves unexplained, with its causes.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ class BearingSurvey:
 
     @cached_property
     def ranking(self) -> Ranking:
-        """The causes of what is left over, from the part of the record that was surveyed."""
+        """The ranking of the causes of the missing force, from the part of the record that was surveyed."""
         return rank_on_part(self.model, self.part, self.missing, self.findings, self.say)
 
     @cached_property
     def law(self) -> Entry | None:
-        """The law that predicts what no regressor on the states does, beside structural modes; None for none.
+        """The law that predicts a force beside structural modes that no regressor on the states predicts; else None.
 
         Errors of the modes hide a force from the regressors that the one law of the right form finds.
         """
@@ -86,7 +86,7 @@ class BearingSurvey:
         return next((e for e in sure[: LIMITS.max_fitted_laws] if self._holds_when_fitted(e)), None)
 
     def _holds_when_fitted(self, law: Entry) -> bool:
-        """Whether a law predicts as surely, with a possible amplitude, where all else is fitted together with it."""
+        """Whether a law still predicts, with a possible amplitude, when it is fitted together with the model."""
         part = self.part
         try:
             after = fit_model(part.data, [*part.placed, *law.placed], start=part)
@@ -104,19 +104,19 @@ class BearingSurvey:
 
     @property
     def explained(self) -> bool:
-        """Whether nothing missing is found: no force, or a negligible one, or one that may be zero."""
+        """Whether no missing force is found, or only a force that is negligible or may be zero."""
         return self._explained_by_states and self.law is None
 
     @property
     def _explained_by_states(self) -> bool:
-        """Whether regressors on the states, and the findings, show nothing that is missing."""
+        """Whether neither the regressors on the states nor the findings show a missing force."""
         value, low, _ = self.missing.interval()
         least = 100 * missing_force.negligible_force_share(self.part.data)
         return not self.missing.any_found() or value < least or low <= 0.0
 
     @cached_property
     def too_strong(self) -> Message | None:
-        """Why nothing is named: the laws of the model vary a stiffness by more than the fit can follow; else None."""
+        """Why no law is named: the laws of the model vary a stiffness by more than the fit can follow; else None."""
         return strong_law_message(self.part)
 
     @cached_property
@@ -157,14 +157,14 @@ class BearingSurvey:
 
     @property
     def adequate(self) -> bool:
-        """Whether nothing is missing: no missing force is found, and none could hide."""
+        """Whether the model is adequate: no missing force is found, and none could go unnoticed."""
         return self.explained and self.inconclusive is None
 
 
 def survey_bearing(
     model: Model, point: WorkingPoint, y: Array, *more: Callable[[], Any], say: Progress = quiet
 ) -> tuple[BearingSurvey, *tuple[Any, ...]]:
-    """The survey of a fitted model, and the answers of `more`, computed beside it.
+    """The survey of a fitted model, and the results of the functions `more`, computed in parallel.
 
     Parameters
     ----------

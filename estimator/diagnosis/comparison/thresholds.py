@@ -24,7 +24,7 @@ class Thresholds:
     spectrum_cells: int = 40  # of the free force spectrum of the black box
 
     # survey
-    max_hidden_force_percent: float = 3.0  # of the bearing force: the least effect that users are promised to be told
+    max_hidden_force_percent: float = 3.0  # of the bearing force: the least effect that users are promised to see
     # of a record that shows the effects that are there: of 14 hidden ones in 10 to 12 s, 4 were not seen
     min_seconds_beside_modes: float = 15.0
     max_fitted_laws: int = 2  # that are fitted together with the model where only a law shows a force
