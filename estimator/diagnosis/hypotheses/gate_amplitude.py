@@ -61,12 +61,12 @@ def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
 
 
 def is_displacement_law(effect: Effect | None) -> bool:
-    """Whether an effect is a law of displacement at a bearing cap, which alone can be judged so."""
+    """Whether an effect is a law of displacement at a bearing cap: the gate judges no other law."""
     return effect is not None and effect.kind == "force" and effect.state == "displacement"
 
 
 def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:
-    """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
+    """How laws with given searched parameters predict the largest amplitudes; None where the smaller give no fit."""
     point = point_on_part(point, THRESHOLDS.judged_seconds)
     total, allowed = 0.0, THRESHOLDS.amplitude_margin_nats
     for found in map_processes([partial(_one, point, one) for one in placed]):
@@ -115,7 +115,7 @@ def _gram(
     point: WorkingPoint, at: tuple[int, ...], all_terms: list[Regressor], masks: list[NDArray[np.bool_]],
     uses: list[LocatedLaw], placed: LocatedLaw, used: tuple[bool, ...],
 ) -> tuple[Gram, float]:  # fmt: skip
-    """Gram matrices of force and terms over the samples marked, tangents of those samples; its number of blocks."""
+    """Gram matrices of force and regressors over the marked samples, with their tangents, and the number of blocks."""
     data = point.data
     k = len(all_terms)
     G = np.zeros((len(at), 1, 1 + k, 1 + k))

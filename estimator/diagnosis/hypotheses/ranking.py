@@ -113,7 +113,7 @@ class Entry:
 
     @property
     def force_explained_percent(self) -> float:
-        """rms of what it explains of the missing force there, per cent of the bearing force."""
+        """Rms of the missing force that the effect explains at its places, per cent of the bearing force."""
         return float(np.sqrt(max(self.before_percent**2 - self.after_percent**2, 0.0)))
 
     @property
@@ -124,12 +124,12 @@ class Entry:
 
     @property
     def law(self) -> Effect | None:
-        """The effect of its force law; None of an effect that is no force law."""
+        """The effect of the candidate where that is a force law, else None."""
         return self.placed[0].effect if self.placed else None
 
     @property
     def places(self) -> set[int]:
-        """Indices of those that a law acts at."""
+        """Indices of the places at which the law acts."""
         return {i for law in self.placed for i in law.at}
 
     def to_json(self) -> dict[str, Any]:
@@ -173,9 +173,9 @@ def ranked_entries(
 
 
 def is_sure_law(entry: Entry) -> bool:
-    """Whether a law is significant and gains as many held-out nats as tell two candidates apart."""
-    sure = entry.p_value <= THRESHOLDS.max_p_value and entry.heldout_gain >= THRESHOLDS.rival_nats
-    return bool(entry.placed) and sure
+    """Whether a law is significant and gains as many held-out nats as separate two candidates."""
+    significant = entry.p_value <= THRESHOLDS.max_p_value and entry.heldout_gain >= THRESHOLDS.rival_nats
+    return bool(entry.placed) and significant
 
 
 def _is_known_line(model: Model, finding: Finding) -> bool:
@@ -193,9 +193,9 @@ def _is_known_line(model: Model, finding: Finding) -> bool:
 
 
 def in_order(found: Sequence[Entry]) -> list[Entry]:
-    """Candidates that explain about as much of the missing force as any, by nats; behind them the others, by nats."""
-    sure = [e.force_explained_percent for e in found if e.p_value <= THRESHOLDS.max_p_value]
-    least = THRESHOLDS.same_force_min_rel * max(sure, default=0.0)
+    """Candidates in order: first those that explain about the most missing force, then the others, both by nats."""
+    significant = [e.force_explained_percent for e in found if e.p_value <= THRESHOLDS.max_p_value]
+    least = THRESHOLDS.same_force_min_rel * max(significant, default=0.0)
     return sorted(found, key=lambda e: (e.force_explained_percent < least, -e.score))
 
 
@@ -240,7 +240,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
 
 
 def without_nodes(entry: Entry, nodes: Sequence[str]) -> Entry:
-    """The entry of a law at its other nodes."""
+    """The entry of a law without some of its nodes."""
     by_node = {n: nats for n, nats in entry.by_node.items() if n not in nodes}
     placed = tuple(p for p in entry.placed if p.key.split(".")[0] not in nodes)
     return replace(
@@ -259,7 +259,7 @@ def _gain(trials: Sequence[Trial]) -> float:
 
 
 def _part_note(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
-    """On how much of the record an effect was judged, if not on all of it."""
+    """The remark on the part of the record that an effect was judged on; none where that is all of the record."""
     seconds = max(t.problem.blocks.sum() for t in used) * point.data.block / point.data.rate_hz
     if seconds > 0.99 * point.data.seconds:
         return ()
@@ -332,7 +332,7 @@ def named_parameters(settings: dict[str, Settings]) -> dict[str, Parameter]:
 
 
 def with_settings(entry: Entry, settings: dict[str, Settings]) -> Entry:
-    """The entry of an effect that is no force law with other numbers."""
+    """The entry of an effect that is no force law, with other settings."""
     return replace(entry, settings=settings, parameters=named_parameters(settings))
 
 
@@ -374,7 +374,7 @@ def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
 
 
 def separation_text(ranking: Sequence[Entry]) -> str:
-    """What tells the first from the others, for a person. "A or B or C" where the record does not."""
+    """What separates the first candidate from the others, in words; "A or B or C" where the record does not."""
     if len(ranking) < 2:
         return ""
     first, second = ranking[0], ranking[1]

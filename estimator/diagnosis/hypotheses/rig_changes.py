@@ -1,7 +1,7 @@
 """Mistakes in the rig file as hypotheses: a mass, the shaft's spring, two channels swapped, one inverted.
 
 A wrong number or a wrong channel changes what the shaft is thought to carry from one bearing to the other. On one
-bearing alone there is no witness. A wrong speed or rate is told by the machine layer.
+bearing alone no record shows it. The machine layer finds a wrong speed or rate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Values = tuple[float, ...]  # none, or a factor and the standard deviation of it
 
 
 def is_common_slip(values: Values) -> bool:
-    """Whether a mistake has no factor, or one of two or ten within what a rough factor allows."""
+    """Whether a mistake has no factor, or a factor of about two or ten."""
     return not values or _log_from_common_slip(values[0]) < THRESHOLDS.max_factor_sd_log
 
 
@@ -37,7 +37,7 @@ class Hypothesis(Protocol):
 
     @property
     def name(self) -> str:
-        """Key of what it changes, such as "rig.mass.bearing1"."""
+        """Key of the number or channel that the hypothesis changes, such as "rig.mass.bearing1"."""
         ...
 
     def propose(self, model: Model) -> Sequence[Values]:
@@ -49,7 +49,7 @@ class Hypothesis(Protocol):
         ...
 
     def arrange(self, model: Model, channels: Arrangement, places: tuple[str, ...]) -> Arrangement:
-        """Where the channels are with the change. places : of the channels as given."""
+        """Places and signs of the channels with the change. places : of the channels as given."""
         return channels
 
     def is_slip(self, values: Values) -> bool:
@@ -57,7 +57,7 @@ class Hypothesis(Protocol):
         return True
 
     def parameters(self, model: Model, values: Values) -> Mapping[str, Parameter]:
-        """What the rig file would say, by key."""
+        """Values that the rig file would have, by key."""
         ...
 
     def text(self, model: Model, values: Values) -> str:
@@ -66,12 +66,12 @@ class Hypothesis(Protocol):
 
 
 class ScaledNumber(Hypothesis, Protocol):
-    """A number of the rig is another one."""
+    """A number of the rig file is wrong by a factor."""
 
     unit: ClassVar[str]
 
     def number(self, model: Model) -> float:
-        """As the rig file has it, SI."""
+        """The number in the rig file, SI."""
         ...
 
     def propose(self, model: Model) -> Sequence[Values]:
@@ -95,7 +95,7 @@ class ScaledNumber(Hypothesis, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ScaledMass(ScaledNumber):
-    """The mass of the disc or of a cap is another one. key : of [rig.mass]."""
+    """The mass of the disc or of a cap is wrong by a factor. key : of [rig.mass]."""
 
     unit = "kg"
     key: str
@@ -108,7 +108,7 @@ class ScaledMass(ScaledNumber):
         return model.mass[self.key]
 
     def is_slip(self, values: Values) -> bool:
-        """As of any number; a mass is weighed, so it is wrong by less than two, or by about two or ten."""
+        """Whether the factor of a mass may be a mistake: it is less than two, or about two or ten."""
         odd = _log_from_common_slip(values[0]) > 2.0 * THRESHOLDS.max_factor_sd_log
         return ScaledNumber.is_slip(self, values) and not (odd and abs(math.log(values[0])) > math.log(2.0))
 
@@ -118,7 +118,7 @@ class ScaledMass(ScaledNumber):
 
 @dataclass(frozen=True, slots=True)
 class ScaledSpring(ScaledNumber):
-    """The shaft has another stiffness."""
+    """The stiffness of the shaft is wrong by a factor."""
 
     unit = "N/m"
     name: str = "rig.shaft_spring.stiffness"
@@ -132,7 +132,7 @@ class ScaledSpring(ScaledNumber):
 
 @dataclass(frozen=True, slots=True)
 class SwappedChannels(Hypothesis):
-    """Two channels have each other's place. first, second : their numbers."""
+    """Two channels are swapped. first, second : their numbers."""
 
     first: int
     second: int
@@ -165,7 +165,7 @@ class SwappedChannels(Hypothesis):
 
 @dataclass(frozen=True, slots=True)
 class InvertedChannel(Hypothesis):
-    """A channel has the other sign. number : of the channel."""
+    """A channel is inverted. number : of the channel."""
 
     number: int
 
@@ -205,7 +205,7 @@ def coupling_hypotheses(model: Model) -> list[Hypothesis]:
     if not (of_disc or model.rotor is not None) or len(nodes) < 2:
         return []
     moving = [k for k, c in enumerate(model.channels) if c.kind in MOTION_UNITS]
-    alike = [
+    swappable = [
         (i, j) for i, j in combinations(moving, 2)
         if model.channels[i].kind == model.channels[j].kind and model.channels[i].place != model.channels[j].place
         and len(moving) > 2 and model.channels[i].direction != model.channels[j].direction
@@ -213,5 +213,5 @@ def coupling_hypotheses(model: Model) -> list[Hypothesis]:
     first_bearing = [k for k in moving if model.channels[k].node == min(nodes)]
     return [
         *(ScaledMass(key) for key in model.mass), *([ScaledSpring()] if of_disc else []),
-        *(SwappedChannels(i, j) for i, j in alike), *(InvertedChannel(k) for k in first_bearing),
+        *(SwappedChannels(i, j) for i, j in swappable), *(InvertedChannel(k) for k in first_bearing),
     ]  # fmt: skip

@@ -58,7 +58,7 @@ class _Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MistakeTrial:
-    """What the trial of mistakes in the rig file came to.
+    """The result of the trial of mistakes in the rig file.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class _Trials:
     def screened(self, start: RigFit | None, least_nats: float) -> list[_Trial]:
         """The likeliest hypotheses with the modes of another fit, or without modes, each with its likeliest value.
 
-        least_nats : of a hypothesis that is worth more.
+        least_nats : gain above which a hypothesis is kept.
         """
         tried = [trial for h in self.asked for trial in self._values_tried(h, start)]
         by_name: dict[str, _Trial] = {}
@@ -95,7 +95,7 @@ class _Trials:
         return [t for t in best if t.fit.nats > least_nats]
 
     def _values_tried(self, hypothesis: Hypothesis, start: RigFit | None) -> list[_Trial]:
-        """The hypothesis at its values; along its factor as well from the fit of the rig as given."""
+        """Trials of a hypothesis at its proposed values, and along its factor from the fit of the rig as given."""
         values, followed = hypothesis.propose(self.model), []
         if start is not None and any(values):
             for step in (THRESHOLDS.followed_step_log, -THRESHOLDS.followed_step_log):
@@ -105,7 +105,7 @@ class _Trials:
         return followed + [t for own in values if (t := self.tried(hypothesis, own, start)) is not None]
 
     def _followed(self, hypothesis: Hypothesis, fit: RigFit, ln_factor: float, step: float) -> list[_Trial]:
-        """The hypothesis along its factor, each fit from the one before, until two are less likely than the best.
+        """Trials of a hypothesis along its factor, each started from the last fit, until two in a row lose nats.
 
         fit, ln_factor : where it begins. step : of the logarithm.
         """
@@ -122,7 +122,7 @@ class _Trials:
         return out
 
     def tried(self, hypothesis: Hypothesis, values: Values, start: RigFit | None) -> _Trial | None:
-        """The hypothesis with the modes of another fit, or without; None where the changed rig explains nothing."""
+        """The trial of a hypothesis with the modes of another fit, or without; None where the rig then has no fit."""
         try:
             fit = self.spectra.tried(*self._changed(hypothesis, values), start)
         except (np.linalg.LinAlgError, ModelError):
@@ -130,9 +130,9 @@ class _Trials:
         return _Trial(hypothesis=hypothesis, values=values, fit=fit)
 
     def searched_in_turn(self, trials: Sequence[_Trial]) -> list[_Trial]:
-        """Hypotheses with modes of their own, the likeliest first; once one explains the spectra, its rivals only.
+        """Trials whose modes are searched, the likeliest first; after one that explains the spectra only its rivals.
 
-        Those that are reached with the work that the trial may take: the others stay pending.
+        The work of a trial is limited: hypotheses that it does not reach stay pending.
         """
         found: list[_Trial] = []
         reach = THRESHOLDS.rival_costs * self.spectra.cost_nats
@@ -145,9 +145,9 @@ class _Trials:
         return found
 
     def _searched(self, trial: _Trial) -> _Trial:
-        """The hypothesis with more modes of its own and its likeliest factor.
+        """The trial of a hypothesis with more modes, if they are found, and its likeliest factor.
 
-        Where these explain too little, its modes are sought from none as well.
+        Where these modes explain too little, they are also sought from a start without modes.
         """
         trial = self._refined(trial)
         for start in (trial.fit, None):
@@ -167,7 +167,7 @@ class _Trials:
         return hypothesis.apply(self.model, values), arranged
 
     def _refined(self, trial: _Trial) -> _Trial:
-        """The hypothesis at its likeliest factor, with the standard deviation of the logarithm of the factor."""
+        """The trial at the likeliest factor, with the standard deviation of the logarithm of the factor."""
         if not trial.values:
             return trial
 
@@ -280,7 +280,7 @@ def _contenders(trials: _Trials, given: RigFit) -> tuple[RigFit, list[_Trial]]:
 
 
 def _with_rivals(trials: _Trials, found: list[_Trial]) -> list[_Trial]:
-    """Hypotheses with those that come near the likeliest one with its modes, the likeliest first."""
+    """Trials extended by hypotheses that come near the likeliest one when they use its modes, the likeliest first."""
     best, names = found[0].fit, {t.hypothesis.name for t in found}
     trials.spectra.begin_again()
     unsettled = [*trials.pending, found[0].hypothesis.name]

@@ -53,7 +53,7 @@ class Ranking:
 def rank_on_part(
     model: Model, part: WorkingPoint, missing: MissingForce, findings: tuple[Finding, ...], say: Progress
 ) -> Ranking:  # fmt: skip
-    """The ranking of the causes of what a model leaves over, from the part of the record that was surveyed."""
+    """The ranking of the causes of the missing force, from the part of the record that was surveyed."""
     trials = _trials(model, part, say)
     return Ranking(missing, findings, trials, ranking.ranked_entries(model, part, trials, missing, findings))
 
@@ -62,12 +62,12 @@ def rank_on_record(model: Model, point: WorkingPoint, found: Ranking, say: Progr
     """The ranking from all of the record, where the rest of it can change the ranking."""
     say(0.65, "the whole record")
 
-    def whole(trial: Trial, worth: bool, promising: bool) -> Trial:
-        again = repeated_trial(point, model, trial) if worth else None
+    def whole(trial: Trial, contends: bool, promising: bool) -> Trial:
+        again = repeated_trial(point, model, trial) if contends else None
         return trial if again is None else _judged(point, model, again, promising)
 
-    worth = zip(are_contenders(found.trials), _with_promise(model, found.trials), strict=True)
-    asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
+    contenders = zip(are_contenders(found.trials), _with_promise(model, found.trials), strict=True)
+    asked = [partial(whole, trial, contends, promising) for contends, (trial, promising) in contenders]
     trials = map_processes(asked, [t.effect for t in found.trials])
     entries = ranking.ranked_entries(model, point, trials, found.missing, found.findings)
     return replace(found, trials=trials, entries=entries)
@@ -112,7 +112,7 @@ def _judged(point: WorkingPoint, model: Model, trial: Trial, promising: bool) ->
 
 
 def _with_promise(model: Model, trials: list[Trial]) -> list[tuple[Trial, bool]]:
-    """Every trial, and whether its searched parameters are worth to be refined."""
+    """Every trial, and whether its searched parameters are to be refined."""
     promising = [t for t in promising_trials(trials) if searched_parameters(t.effect, model)][
         : THRESHOLDS.max_refined_trials
     ]
@@ -120,7 +120,7 @@ def _with_promise(model: Model, trials: list[Trial]) -> list[tuple[Trial, bool]]
 
 
 def promising_trials(trials: list[Trial]) -> list[Trial]:
-    """Those of effects that come near the best one at some bearing, all directions of it together."""
+    """Trials of effects whose gain at some bearing, summed over its directions, comes near that of the best effect."""
     sums: dict[tuple[str, str], float] = {}
     for t in trials:
         key = t.location.split(".")[0], t.effect.name

@@ -57,7 +57,7 @@ class Trial:
 
     @property
     def p_value(self) -> float:
-        """Of the gain, if nothing is there; before counting how many were tried."""
+        """p-value of the gain if the effect is absent, before correction for the number of trials."""
         return float(chdtrc(self.df, 2 * max(self.gain, 0.0)))
 
 
@@ -120,8 +120,8 @@ def best_on_grid(point: WorkingPoint, model: Model, effect: Effect, location: st
 
 
 def _amplitudes(effect: Effect, point: WorkingPoint) -> tuple[bool, ...]:
-    """Which parameters a law on trial is proportional to. Of those that go with the shaft angle none where no speed is
-    known: at one angle all along, what turns cannot be told from what does not."""
+    """Which parameters of a law on trial are amplitudes. Without a known speed none of a term in the shaft angle is: at
+    one constant angle such a term is not identifiable beside the others."""
     turns = bool(point.data.phase.any())
     return tuple(q.linear and (turns or not q.name.endswith(SHAFT_ANGLE_SUFFIXES)) for q in effect.parameters)
 
@@ -136,9 +136,9 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
     free = [(q.linear and (q.share > 0.0 or q.name in values)) or k in loose for k, q in enumerate(effect.parameters)]
     placed = replace(placed, p=p, free=tuple(free))
     df = max(len(problem.extra) + len(loose), 1)
-    if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
-        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(SHAFT_ANGLE_SUFFIXES)]
-        gained, df = min(gained, 0.5 * float(np.sum(np.square(turning)))), max(len(turning), 1)
+    if effect.kind == "shaft":  # by terms in the shaft angle: a mean loss alone is a shaft softer than in the rig file
+        by_angle = [value / sd for name, (value, sd) in values.items() if name.endswith(SHAFT_ANGLE_SUFFIXES)]
+        gained, df = min(gained, 0.5 * float(np.sum(np.square(by_angle)))), max(len(by_angle), 1)
     return Trial(
         effect=effect, location=location, placed=placed, gain=gained, df=df, values=values, spread=spread,
         problem=problem, fit=fit,
@@ -146,7 +146,7 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
 
 
 def are_contenders(trials: Sequence[Trial]) -> list[bool]:
-    """Which trials on part of a record the rest of it could bring to the front or to significance.
+    """Which trials on part of a record could become the best or significant on the whole record.
 
     Trials of the runner-up count too, for comparison.
     """
@@ -175,7 +175,7 @@ def with_heldout_gain(trial: Trial) -> Trial:
 
 
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
-    """The trial after a Gauss-Newton step in its searched parameters; None where it would bring nothing."""
+    """The trial after a Gauss-Newton step in its searched parameters; None where the step gains nothing."""
     placed = trial.placed
     kept = independent_regressors(point, placed)
     names = {t.name for t in kept}
@@ -198,7 +198,7 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
 
 
 def repeated_trial(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
-    """A trial fitted again on another part of the record, at the searched parameters found; None if it cannot be."""
+    """A trial fitted again on another part of the record, at the searched parameters found; None if the fit fails."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
     placed = replace(found.placed, p=p, free=_amplitudes(found.effect, point))
