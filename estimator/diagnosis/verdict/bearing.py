@@ -50,7 +50,7 @@ NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code})
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What is said of a record.
+    """The verdict on a record, with its evidence.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Judgement:
     shape : Shape or None
         Force against the state that it depends on, where a force is missing that no effect explains; else None.
     separates : str
-        What tells the first of the ranking from the second, a sentence.
+        What separates the first of the ranking from the second, a sentence.
     messages : tuple of Message
         Remarks for the user.
     """
@@ -74,7 +74,7 @@ class Judgement:
     messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Its keys in the result of diagnose."""
+        """The judgement by the keys of the result of diagnose."""
         out: dict[str, Any] = {
             "schema": 1,
             "verdict": self.verdict,
@@ -141,7 +141,7 @@ def _judged_by_rule(
     model: Model, point: WorkingPoint, y: Array, say: Progress, refused: frozenset[str], survey: BearingSurvey,
     untried: list[Message],
 ) -> BearingJudgement:  # fmt: skip
-    """As `judge_bearing`. untried : is given the remark on mistakes that were not tried."""
+    """The judgement of `judge_bearing`. untried : receives the remark on mistakes that were not tried."""
     found = survey.ranking
     refused |= CAUSES_OF_SPECTRUM if point.data.background is not None else frozenset()
     if survey.too_strong is not None:
@@ -232,7 +232,7 @@ def _judged_entries(entries: list[Entry], context: Context) -> list[Entry]:
 
 
 def _more_missing(named: Entry) -> Sequence[Message]:
-    """The remark on a named law that leaves more than a fifth; none of another candidate."""
+    """The remark on a named law that leaves more than a fifth; none for another candidate."""
     if named.passed:
         return ()
     finer = " or ".join(e.name for e in CATALOGUE.values() if e.refines == named.effect)
@@ -268,7 +268,7 @@ def _law_beside(
 
 
 def _leaves_message(entry: Entry) -> Message:
-    """On a candidate that was ahead of the verdict."""
+    """The remark on a candidate that was ahead of the verdict."""
     return Message("ahead_leaves", f"{entry.effect} was ahead but leaves {left_text(entry)} of it")
 
 
@@ -292,7 +292,7 @@ def judged_mistake(
 
 
 def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
-    """The judgement where nothing passes: the curve, the nearest candidate and what it leaves."""
+    """The judgement where no candidate passes: the curve, the nearest candidate and what it leaves."""
     survey, point = context.survey, context.point
     before = survey.missing
     tried = [e for e in entries if share_left(e) is not None]
@@ -317,21 +317,21 @@ def _unknown(context: Context, entries: list[Entry]) -> BearingJudgement:
     groups = {f.group for r in before.residuals for f in r.found}
     if OTHER_BEARING in groups:
         said.append(CAPS_COUPLED)
-    if not groups and before.disturbances and not point.data.measured_force:  # beside one it is the path that is bent
+    if not groups and before.disturbances and not point.data.measured_force:  # beside one the path is biased
         said.append(SPECTRUM_UNEXPLAINED)
     curve = missing_force_curve(point, before, state)
     return BearingJudgement("unknown", tuple(entries), curve, messages=tuple(said), pair=pair)
 
 
 def fitting_pair(context: Context, tried: list[Entry], entries: Sequence[Entry] = ()) -> Entry | None:
-    """Two laws that together leave little, where neither does alone, as one; None where there are none.
+    """Two laws as one candidate, where both together leave little and neither does alone; None without such laws.
 
     Laws of one state are to leave little of it, others of all that follows a state at their bearing. The likeliest pair
     is the answer, if it is the likelier by 20 to 1.
 
     tried : candidates that leave too much, the likeliest first. entries : all candidates; of each state that none of
     those has the likeliest significant one is tried beside the first of them, and so is every law of the state of the
-    first one: alone it may explain nothing, where the other one bends the curve the other way.
+    first one: alone it may explain nothing, where the other one curves the force the other way.
     """
     part, before = context.survey.part, context.survey.missing
     laws = [e for e in tried if e.law is not None][: THRESHOLDS.max_paired]

@@ -47,7 +47,7 @@ ROTOR_UNTRIED = Message(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis(Judgement):
-    """What is said of a record: four layers, each of which stands without the later ones, and their verdict.
+    """The diagnosis of a record: four layers, each independent of the later ones, and their verdict.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
 
 
 def _goes_after_mistakes(verdict: str) -> bool:
-    """Whether a verdict names nothing, a line, or what shapes a spectrum."""
+    """Whether a verdict names no effect, a line, or a cause of a spectral shape."""
     return verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
 
 

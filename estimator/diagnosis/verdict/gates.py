@@ -31,7 +31,7 @@ LEAVES_LITTLE = "leaves little"  # name of the gate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """What the gates may look at.
+    """The data that the gates read.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def significant(entry: Entry, context: Context) -> GateResult:
 
 
 def large_enough(entry: Entry, context: Context) -> GateResult:
-    """The force is larger than the errors of a simulation or a filter, beside structural modes than theirs.
+    """The force is larger than the errors of a simulation or a filter, and than those of structural modes if any.
 
     Beside lines that shaft and mains explain a tone has to be larger, within its uncertainty: a record holds tones of
     its surroundings. So has a law that alone shows its force: it may be an error of the modes.
@@ -129,17 +129,17 @@ def gains_in_folds(entry: Entry, context: Context) -> GateResult:
 def holds_at_large_amplitudes(entry: Entry, context: Context) -> GateResult:
     """A law of displacement fitted to the smaller motion predicts the largest."""
     concerned = gate_amplitude.is_displacement_law(entry.law)
-    told = gate_amplitude.extrapolated(context.survey.part, entry.placed) if concerned else None
+    test = gate_amplitude.extrapolated(context.survey.part, entry.placed) if concerned else None
     gate = ranking.LARGE_AMPLITUDES
-    if told is None:
+    if test is None:
         return GateResult(gate=gate, passed=True)
-    return GateResult(gate=gate, passed=not told.refused, measured=told.gain, limit=-told.allowed, text="nats gained")
+    return GateResult(gate=gate, passed=not test.refused, measured=test.gain, limit=-test.allowed, text="nats gained")
 
 
 def told_from_zero(entry: Entry, context: Context) -> GateResult:
     """Fitted together with the model, the candidate predicts held-out data: it is not zero.
 
-    It has to predict as much as tells two candidates apart where the record gives none of its numbers, or where it is
+    It has to predict as much as separates two candidates where the record gives none of its numbers, or where it is
     not fitted together with the model; beside structural modes as much as one more mode would have to gain.
     """
     fit = context.fitted(entry)
@@ -171,7 +171,7 @@ NAMING_GATES: tuple[Gate, ...] = (
 
 
 def judged(entry: Entry, context: Context) -> Entry:
-    """The candidate with what the gates say, and with the numbers of its joint fit if it came so far."""
+    """The candidate with what the gates say, and with the numbers of its joint fit if the joint fit was asked for."""
     said: list[GateResult] = []
     for gate in NAMING_GATES:
         said.append(gate(entry, context))

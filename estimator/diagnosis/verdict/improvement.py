@@ -130,7 +130,7 @@ def _of_usable(
 
 
 def _named_by_samples(found: Improvement, model: Model, y: Array, layers: Layers) -> list[BearingJudgement]:
-    """What the samples show without a fit and a model lacks: strikes, large tones of the shaft, clipped channels."""
+    """Effects that the samples show without a fit and a model lacks: strikes, large shaft tones, clipped channels."""
     whole = replace(model, effects=(*model.effects, *found.model.effects))
     shown = {e.effect: e for e in reversed(signal_entries(whole, layers.record, layers.machine))}
     if any(use.name in SHAFT_HARMONICS for use in found.model.effects):
@@ -195,7 +195,7 @@ def improvement(
 
 
 def _inseparable(best: Entry, ranking: Sequence[Entry]) -> list[str]:
-    """Other laws that pass all gates and are too near to a law for either to be the likelier by 20 to 1."""
+    """Other laws that pass all gates and that the record does not separate from a law by odds of 20 to 1."""
     rivals = [e for e in ranking if e.passed and e.placed and e.effect != best.effect]
     return [e.effect for e in rivals if best.placed and abs(best.gain - e.gain) < THRESHOLDS.min_ahead_nats]
 

@@ -79,7 +79,7 @@ def joint_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSurvey
 
 
 def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
-    """A force law and the model, fitted to the part of the record that was surveyed."""
+    """The fit of a force law and the model to the part of the record that was surveyed."""
     part = survey.part
     try:
         after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=THRESHOLDS.law_fit_rounds)
@@ -108,7 +108,7 @@ def gain_together(survey: BearingSurvey, one: Entry, other: Entry) -> float:
 
 
 def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> tuple[float, float]:
-    """rms left over rms before, in the state where a law explains most, and its lower 95 % limit.
+    """Residual rms over the rms before, in the state where a law explains most, and its lower 95 % limit.
 
     0 if the law has the right shape. States that it does not touch belong to something else that is missing too. Where
     no state shows a missing force, or more force is missing with the law, it leaves all.
@@ -126,7 +126,7 @@ def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -
 
 
 def left_of_states(before: MissingForce, after: MissingForce) -> float:
-    """All force that follows a state of its own bearing, rms over rms before."""
+    """Residual rms over the rms before, of all force that follows a state of its own bearing."""
 
     def power(found: MissingForce) -> float:
         return sum(g.power_N2 for r in found.residuals for g in r.found if g.group != OTHER_BEARING)
@@ -163,7 +163,7 @@ def at_identifiable_bearings(
 
 
 def _harmonic_fit(model: Model, point: WorkingPoint, survey: BearingSurvey, entry: Entry) -> JointFit:
-    """A periodic force and the model: near a resonance the force had biased the fit."""
+    """The fit of a periodic force and the model: near a resonance the force had biased the fit."""
     settings, after = fit_found_harmonics(model, point, entry.settings)
     part = point_on_part(after, missing_force.survey_seconds(point.data.rate_hz))
     left = missing_force.survey(part, model, only=survey.missing.places_found())
@@ -171,7 +171,7 @@ def _harmonic_fit(model: Model, point: WorkingPoint, survey: BearingSurvey, entr
 
 
 def _nuisance_fit(model: Model, point: WorkingPoint, y: Array, survey: BearingSurvey, entry: Entry) -> JointFit:
-    """A spectral shape and the model, fitted to part of the record, with noise of the sensors where that is seen too.
+    """The fit of a spectral shape and the model to part of the record, with sensor noise where that is found too.
 
     In the residual of a model without the shape another shape may pass for the right one.
     """

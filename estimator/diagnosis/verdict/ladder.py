@@ -151,7 +151,7 @@ class Ladder:
     def _with_law(self, best: Entry) -> FullFit | None:
         """The model with a law that was found; None where the law cannot be distinguished from zero.
 
-        Masses, shapes of spectra and the background were fitted without the law, which bends spectra too. They are
+        Masses, shapes of spectra and the background were fitted without the law, which shapes spectra too. They are
         fitted again with it, and are kept as they were where that predicts better.
         """
         model, point = self.whole.model, self.whole.point

@@ -1,4 +1,4 @@
-"""A law that passed the gates beside those that were refused: whether it is the answer."""
+"""Whether a law that passed the gates is the answer, beside the candidates that were refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
 
 
 def share_left(entry: Entry) -> float | None:
-    """What a candidate leaves of what it was to explain; None where it did not come to that gate."""
+    """What a candidate leaves of what it was to explain; None where the candidate did not come to that gate."""
     last = entry.gates[-1] if entry.gates else None
     return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
 
@@ -86,7 +86,7 @@ def has_mistakes_for_rivals(named: Sequence[Entry]) -> bool:
 
 
 def leaves_less(mistake: Entry, named: Sequence[Entry]) -> bool:
-    """Whether a mistake leaves less than half of what a named law leaves; so where no law is named."""
+    """Whether a mistake leaves less than half of what a named law leaves; true where no law is named."""
     if not (named and named[0].placed):
         return True
     return mistake.after_percent < THRESHOLDS.same_force_min_rel * named[0].after_percent

@@ -197,7 +197,7 @@ def shaft_entries(model: Model, record: RecordSurvey, machine: MachineSurvey) ->
 
 
 def severe_tone_message(model: Model, record: RecordSurvey, machine: MachineSurvey) -> Message | None:
-    """The remark on a tone that dominates a vibration that is too large, where no speed tells whether it is the shaft.
+    """The remark on a tone that dominates a vibration that is too large, where no speed shows whether it is the shaft.
 
     None where the speed is known, or no such tone is there.
     """
