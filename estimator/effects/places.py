@@ -70,10 +70,10 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
     Kinematic orders and the number of balls come from the rig where they are not given. Raises ModelError naming
     what is missing (a missing parameter never means "off") or impossible.
     """
-    own = written(effect, use, model, place)
+    settings = written(effect, use, model, place)
     out: list[float] = []
     for p in effect.parameters:
-        value = own[p.name].value if p.name in own else None
+        value = settings[p.name].value if p.name in settings else None
         if value is None:
             value = kinematic(p.scale, model)
         if value is None and p.given:
@@ -81,14 +81,14 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
         if value is None:
             raise ModelError(f"effect {use.name} at {place} has no {p.name} ({p.unit}): give it, or fit first")
         if not np.isfinite(value) or (p.low >= 0.0 and value < 0.0) or (p.given and not p.low <= value <= p.high):
-            least = f"{p.low:g} to {p.high:g}" if p.given else "a number of at least 0" if p.low >= 0.0 else "a number"
-            raise ModelError(f"effect {use.name} at {place}: {p.name} is {value:g} {p.unit}, it must be {least}")
+            limits = f"{p.low:g} to {p.high:g}" if p.given else "a number of at least 0" if p.low >= 0.0 else "a number"
+            raise ModelError(f"effect {use.name} at {place}: {p.name} is {value:g} {p.unit}, it must be {limits}")
         out.append(float(value))
     return np.array(out)
 
 
 def written(effect: Effect, use: EffectUse, model: Model, place: str) -> dict[str, Setting]:
-    """What a use says about each parameter at a canonical place, however the place was written there.
+    """Settings of each parameter of a use at a canonical place, in whichever form the use gives the place.
 
     What is written for the very place comes before what is written for its node; a value before none.
     """

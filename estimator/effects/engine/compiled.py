@@ -54,7 +54,7 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
 
 
 def ready() -> None:
-    """Have numba load what it needs for the first of its functions (0.3 s), compiled as they all are."""
+    """Make numba load its libraries (0.3 s) by a call of one of its functions, compiled as all others are."""
     rise(1.0, 1.0, 1.0, True)
 
 
@@ -102,7 +102,7 @@ def call_memory_at(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rise(start, half, dt, alone):  # type: ignore[no-untyped-def]
-    """Of a state over a step, from its rates at the start and half a step on: the midpoint rule.
+    """Increment of a state over a step, from its rates at the start and at half a step: the midpoint rule.
 
     alone : a single state. Where its rate falls it goes as exp(h), as the half step says: 1 / (1 - h/2 + h^2/12) is the
     mean of that, stable however fast. Value and slope are those of the midpoint rule at h = 0: derivatives of the step

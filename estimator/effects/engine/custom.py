@@ -124,8 +124,8 @@ def _loaded(use: EffectUse, effect: Effect) -> Effect:
 
 def _with_limits(q: EffectParameter, s: Setting) -> EffectParameter:
     """The parameter as an amplitude between the limits of its setting."""
-    own = amplitude(q.name, q.unit, "amplitude", signed=True)
-    return replace(own, low=own.low if s.low is None else s.low, high=own.high if s.high is None else s.high)
+    full = amplitude(q.name, q.unit, "amplitude", signed=True)
+    return replace(full, low=full.low if s.low is None else s.low, high=full.high if s.high is None else s.high)
 
 
 def _parameter(name: str, unit: str, s: Setting) -> EffectParameter:

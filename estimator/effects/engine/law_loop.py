@@ -60,7 +60,7 @@ def compiled(law: Callable[..., float]) -> Callable[..., float]:
 
 
 def source_version(law: Callable[..., object]) -> int:
-    """Of the source of a law; -1 of one that no module holds, as of an expression."""
+    """Checksum of the source of a law; -1 where no module holds the source, as for an expression."""
     module = sys.modules.get(law.__module__)
     try:
         held = law.__closure__ is not None or getattr(module, law.__name__, None) is law
@@ -71,7 +71,7 @@ def source_version(law: Callable[..., object]) -> int:
 
 
 def law_of(effect: Effect, p: Sequence[float] | Array) -> Callable[..., float]:
-    """Raises ValueError if it has none."""
+    """The force law of an effect. Raises ValueError if the effect has none."""
     if effect.force is None:
         raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
     return effect.force if effect.for_given is None else effect.for_given(p)
@@ -97,7 +97,7 @@ def smoothed(
 ) -> float:  # fmt: skip
     """Fill out (n,) with the mean of a law over the nodes -h, 0, +h in the k-th of x, v, xo, vo, weights 1/6, 2/3, 1/6;
     tangent (n,) with its central difference there, 0 where h is; return the sum of that over the valid rows. further :
-    out holds the mean over another state already, and gets what this one adds.
+    out already holds the mean over another state, to which this mean is added.
 
     All arrays are float64 and contiguous.
     """

@@ -83,12 +83,12 @@ def _range(p: EffectParameter) -> str:
 
 
 def escape(text: str) -> str:
-    """For a cell of a Markdown table."""
+    """The text for a cell of a Markdown table."""
     return text.replace("|", "\\|")
 
 
 def section(effect: Effect) -> str:
-    """One effect as Markdown."""
+    """The section of one effect in Markdown."""
     rows = "\n".join(f"| `{p.name}` | {p.unit} | {p.description} | {_range(p)} |" for p in effect.parameters)
     where = KIND_TEXTS[effect.kind] + (", one set for both directions" if effect.scope == "node" else "")
     return f"""
@@ -109,7 +109,7 @@ def section(effect: Effect) -> str:
 
 
 def markdown() -> str:
-    """The whole page."""
+    """The page of all effects in Markdown."""
     from .expression import FUNCTION_CODES
 
     table = "".join(

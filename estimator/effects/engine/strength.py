@@ -45,7 +45,7 @@ class Size:
         return self.kL * self.x
 
     def of(self, parameter: EffectParameter) -> float:
-        """What low, high and default of a searched parameter are multiples of."""
+        """Natural size, SI, of which low, high and default of a searched parameter are multiples."""
         known = {
             "x": self.x,
             "v": self.v,

@@ -11,7 +11,7 @@ from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
-    """By its frequency response; the ringing of the ends is cut off with a pad of up to 512 samples."""
+    """The samples after the resonance; ringing at the ends is cut off with a pad of up to 512 samples."""
     pad = min(512, max(len(y) - 1, 0))
     whole = np.pad(y, pad, mode="reflect")
     r = np.fft.rfftfreq(len(whole), 1.0 / rate_hz) / p[0]

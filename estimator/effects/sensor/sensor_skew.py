@@ -11,7 +11,7 @@ from estimator.model.effect import Effect, searched
 
 
 def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
-    """By the phase of its Fourier transform; a few samples at the ends are affected."""
+    """The samples delayed by the phase of their Fourier transform; a few samples at the ends are affected."""
     pad = 64
     whole = np.pad(y, pad, mode="reflect") if len(y) > pad else y
     f = np.fft.rfftfreq(len(whole), 1.0 / rate_hz)

@@ -20,7 +20,7 @@ BALL_COSINES, BALL_SINES = (
 
 @cache
 def _law(known: int) -> Callable[..., float]:
-    """The law of so many balls; of as many as p says where known is 0.
+    """The law of a bearing with `known` balls; where that is 0, their number is in p.
 
     The compiler unrolls the loop of a known number and vectorises it over samples (five times faster).
     """
