@@ -299,8 +299,8 @@ def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | Non
     if bearing is None:
         raise DataError("rig.bearing: no geometry; give balls, ball_diameter_mm, pitch_diameter_mm, groove_radius_mm")
     if preloads is None:
-        own = () if bearing.preload is None else (bearing.preload,)
-        preloads = sorted({round(g, 12) for g in (*LIMITS.preloads_m, *own)})
+        given = () if bearing.preload is None else (bearing.preload,)
+        preloads = sorted({round(g, 12) for g in (*LIMITS.preloads_m, *given)})
     inner, outer = raceways(bearing)
     rows = tuple(_fitted(bearing, _of_model(model) if fit is None else fit.parameters))
     curves = tuple(curve(bearing, g) for g in preloads)

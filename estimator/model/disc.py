@@ -1,4 +1,4 @@
-"""The disc on its shaft as the caps see it, with what a law of the shaft (shaft_law.py) makes of it."""
+"""The disc on its shaft by its response at the caps, and the change of that response by a law of the shaft."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ class Disc:
 
     @property
     def w0(self) -> float:
-        """rad/s, its resonance where the caps stand still."""
+        """Resonance of the disc while the caps stand still, rad/s."""
         return float(np.sqrt(self.K / self.m))
 
     @property
     def comb_hz(self) -> tuple[float, float]:
-        """Where a model whose shaft breathes is not judged."""
+        """Range of frequencies, Hz, in which a model with a breathing shaft is not judged."""
         low, high = LIMITS.near_resonance_rel
         return low * self.w0 / (2 * np.pi), high * self.w0 / (2 * np.pi)
 
     def blurred(self) -> Disc:
-        """With a damping that hides where exactly its resonance is."""
+        """The disc with so much damping that an error of its resonance has little effect."""
         return replace(self, C=max(self.C, 2.0 * LIMITS.coarse_damping_ratio * float(np.sqrt(self.K * self.m))))
 
     def dynamic(self, w: Array) -> Complexes:
-        """(f,) N/m at w rad/s."""
+        """(f,) N/m, dynamic stiffness at w rad/s."""
         return np.asarray(self.K - self.m * w**2 + 1j * w * self.C)
 
     def follows(self, w: Array) -> Complexes:
-        """(f,) deflection per mean displacement of the caps."""
+        """(f,) deflection of the disc per mean displacement of the caps."""
         return np.asarray(self.m * w**2 / self.dynamic(w))
 
     def _yields(self, w: Array, mean: float, caps: Array) -> Complexes:
-        """(f,) m/N, mean displacement of the caps per force on both. mean : N/m that the shaft lacks."""
+        """(f,) m/N, mean displacement of the caps per force on both caps. mean : N/m that the shaft lacks."""
         k, kc = SHAFT_MATRICES[self.shaft], self.ks + 1j * w * self.cs
         D = np.multiply.outer(kc, k[:2, :2]) - np.multiply.outer(
             kc**2 / (k[2, 2] * kc - self.m * w**2), np.outer(k[:2, 2], k[2, :2])
@@ -60,7 +60,7 @@ class Disc:
         return np.asarray(np.linalg.solve(D, np.ones((2, 1)))[..., 0].mean(axis=1))
 
     def changed(self, w: Array, mean: float, first: complex, speed: float, caps: Array) -> Complexes:
-        """(f,) N/m, mean response of the force m s1'' / 2 on each cap to their mean displacement.
+        """(f,) N/m, mean response of the force m s1'' / 2 on each cap to the mean displacement of the caps.
 
         For g = mean + 2 Re(first exp(i phase)): that of the periodic system at fixed caps, Hill's determinant as a
         continued fraction, less half of what comes back through the caps a turn higher and lower. The log of the
@@ -79,15 +79,15 @@ class Disc:
         return self._changed(w, self.dynamic(w) - mean - beside) - 0.5 * returned
 
     def _changed(self, w: Array, dynamic: Complexes) -> Complexes:
-        """(f,) N/m on each cap per mean displacement of them, for a disc that answers so."""
+        """(f,) N/m, force on each cap per mean displacement of the caps, for a disc of this dynamic stiffness."""
         return np.asarray(-0.5 * (self.m * w**2) ** 2 * (1.0 / dynamic - 1.0 / self.dynamic(w)))
 
 
 def disc_of(model: Model) -> Disc | None:
-    """None without one disc on a massless shaft."""
+    """The disc of a model; None without one disc on a massless shaft."""
     m, ks, cs = model.mass.get("disc", 0.0), model.shaft_stiffness, model.shaft_damping
     if model.shaft not in ("chain", "beam") or m <= 0.0 or ks <= 0.0:
         return None
-    own = float(shaft_matrix(model.shaft, 1.0)[2, 2])
-    C = max(own * cs, 2.0 * LIMITS.min_damping_ratio * float(np.sqrt(own * ks * m)))
-    return Disc(shaft=model.shaft, ks=ks, cs=cs, m=m, C=C, K=own * ks)
+    per_shaft_stiffness = float(shaft_matrix(model.shaft, 1.0)[2, 2])
+    C = max(per_shaft_stiffness * cs, 2.0 * LIMITS.min_damping_ratio * float(np.sqrt(per_shaft_stiffness * ks * m)))
+    return Disc(shaft=model.shaft, ks=ks, cs=cs, m=m, C=C, K=per_shaft_stiffness * ks)

@@ -170,7 +170,7 @@ class Effect:
 
     @property
     def state(self) -> State:
-        """What the force law is a function of, by evaluating it.
+        """The arguments that the force law is a function of, by evaluating the law.
 
         displacement, velocity: of its own direction, one of them; both: the two; directions: of the other direction,
         too; time, shaft_angle: of these, whatever else; none: no force law.
@@ -184,17 +184,17 @@ class Effect:
 
     @property
     def turns(self) -> bool:
-        """Whether the law goes with the shaft angle."""
+        """Whether the law depends on the shaft angle."""
         return self.state == "shaft_angle"
 
     @property
     def flat_magnitude(self) -> bool:
-        """Whether it is a response that leaves the shape of its channel's spectrum: a gain or a delay."""
+        """Whether the effect is a response that leaves the shape of its channel's spectrum: a gain or a delay."""
         return self.channel_response is not None and self.spectral_factor is None
 
     @property
     def scales_channel(self) -> bool:
-        """Whether it is a response that is the same at every frequency: a gain."""
+        """Whether the effect is a response that is the same at every frequency: a gain."""
         if self.channel_response is None:
             return False
         slow, fast = self.channel_response(SLOW_AND_FAST, [q.default for q in self.parameters])
@@ -202,12 +202,12 @@ class Effect:
 
     @property
     def adds_noise(self) -> bool:
-        """Whether it is noise of a sensor: seen in a spectrum, and no response."""
+        """Whether the effect is noise of a sensor: seen in a spectrum, and no response."""
         return self.kind == "sensor" and self.found_by == "spectrum" and self.channel_response is None
 
     @property
     def adds_resonance(self) -> bool:
-        """Whether it is a resonance under a cap: a linear memory, seen in a spectrum."""
+        """Whether the effect is a resonance under a cap: a linear memory, seen in a spectrum."""
         return self.kind == "memory" and self.found_by == "spectrum"
 
 

@@ -1,4 +1,4 @@
-"""What a force law depends on, and its power, found by evaluating the law at a few states.
+"""Arguments that a force law depends on, and its power, found by evaluating the law at a few states.
 
 The law is scalar and plain, so no compiler is needed. Each amplitude is 1 in turn, the others 0: the parts of
 amplitudes of different units have any size. Searched parameters have their defaults. States reach four times beyond the
@@ -25,7 +25,7 @@ Force = Callable[..., float]
 
 
 def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> State:
-    """What a force law is a function of. one_direction : judged with the other direction at rest."""
+    """The arguments that a force law is a function of. one_direction : judged with the other direction at rest."""
     depends = _dependence(force, tuple(parameters), one_direction)
     if "phase" in depends:
         return "shaft_angle"
@@ -39,7 +39,7 @@ def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction
 
 
 def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None:
-    """N of an amplitude times x^n; None of any other law."""
+    """Exponent n of a law that is an amplitude times x^n; None of any other law."""
     if len(parameters) != 1 or not parameters[0].linear or law_state(force, parameters, False) != "displacement":
         return None
     one, two = (_forces(force, parameters, np.eye(6)[:1] * x)[0, 0] for x in (1.0, 2.0))
@@ -50,13 +50,13 @@ def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None
 
 @cache
 def _dependence(force: Force, parameters: tuple[EffectParameter, ...], one_direction: bool) -> frozenset[str]:
-    """Names of the arguments that move the force."""
+    """Names of the arguments that change the force."""
     states = _states(parameters, one_direction)
-    others = np.roll(states, 1, axis=0)
+    shuffled = np.roll(states, 1, axis=0)
     here, found = _forces(force, parameters, states), set()
     for k, name in enumerate(("x", "v", "xo", "vo", "t", "phase")):
         moved = states.copy()
-        moved[:, k] = others[:, k]
+        moved[:, k] = shuffled[:, k]
         if not _same(here, _forces(force, parameters, moved)):
             found.add(name)
     return frozenset(found)

@@ -49,7 +49,7 @@ class AntiAlias:
                           * np.exp(s[..., 0] * delay_s))  # fmt: skip
 
     def trusted_to_hz(self, rate_hz: float) -> float:
-        """Hz up to which what sampling folds back behind this filter is a negligible share of the acceleration.
+        """Frequency, Hz, up to which aliased components behind this filter are a negligible share of the acceleration.
 
         The acceleration is taken as white there, as above all resonances under a white force.
         """
@@ -62,21 +62,21 @@ class AntiAlias:
 
 
 @lru_cache(maxsize=8)
-def _zeros_and_poles(own: AntiAlias) -> tuple[Complexes, Complexes]:
+def _zeros_and_poles(filter_: AntiAlias) -> tuple[Complexes, Complexes]:
     """Zeros and poles, rad/s, of an analogue filter."""
     from scipy import signal
 
-    w, form = 2 * np.pi * own.cutoff_hz, "bessel_mag" if own.kind == "bessel" else own.kind
-    ripple_db, loss_db = own.ripple_db or LIMITS.pass_band_ripple_db, own.ripple_db or LIMITS.stop_band_loss_db
+    w, form = 2 * np.pi * filter_.cutoff_hz, "bessel_mag" if filter_.kind == "bessel" else filter_.kind
+    ripple_db, loss_db = filter_.ripple_db or LIMITS.pass_band_ripple_db, filter_.ripple_db or LIMITS.stop_band_loss_db
     zeros, poles, _ = signal.iirfilter(  # type: ignore[call-overload]
-        own.order, w, ripple_db, loss_db, btype="lowpass", analog=True, ftype=form, output="zpk"
+        filter_.order, w, ripple_db, loss_db, btype="lowpass", analog=True, ftype=form, output="zpk"
     )
     return np.asarray(zeros, complex), np.asarray(poles, complex)
 
 
 @lru_cache(maxsize=8)
-def _taps(own: AntiAlias, rate_hz: float) -> Array:
+def _taps(filter_: AntiAlias, rate_hz: float) -> Array:
     """(order + 1,) taps of a windowed linear-phase filter."""
     from scipy import signal
 
-    return np.asarray(signal.firwin(own.order + 1, own.cutoff_hz, fs=rate_hz), np.float64)
+    return np.asarray(signal.firwin(filter_.order + 1, filter_.cutoff_hz, fs=rate_hz), np.float64)

@@ -24,7 +24,7 @@ BEARING_NODES = ("bearing1", "bearing2")  # names of bearings that have no other
 CAP_DIRECTIONS = ("x", "y")
 LINEAR_UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
 MOTION_UNITS = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # by kind
-# part of ISO 20816 -> what tells the kinds of its machines apart
+# part of ISO 20816 -> keys that distinguish the classes of its machines
 KEYS_OF_ISO_PART: Mapping[int, tuple[str, ...]] = MappingProxyType(
     {1: ("size",), 3: ("group", "support"), 7: ("category", "power_kw")}
 )
@@ -74,12 +74,12 @@ class Channel:
 
     @property
     def place(self) -> str:
-        """What it measures, such as "bearing1.x"; a tacho is of the shaft, wherever it stands."""
+        """Location that the channel measures, such as "bearing1.x"; a tacho is of the shaft, wherever it stands."""
         return "." if self.kind == "tacho" else f"{self.node}.{self.direction}"
 
     @property
     def unit(self) -> str:
-        """SI unit of what it measures; "" of a tacho."""
+        """SI unit of the measured quantity; "" of a tacho."""
         return "N" if self.kind == "force" else MOTION_UNITS.get(self.kind, "")
 
 
@@ -145,12 +145,12 @@ class MachineClass:
     size: Literal["I", "II", "III", "IV"] | None = None
 
     def __post_init__(self) -> None:
-        """What the part needs must be there."""
+        """Raise ModelError where a key that the part needs is missing."""
         if missing := [name for name in KEYS_OF_ISO_PART[self.part] if getattr(self, name) is None]:
             raise ModelError(f"a machine of part {self.part} needs {' and '.join(missing)}")
 
     def to_json(self) -> dict[str, Any]:
-        """The part, and what it needs."""
+        """The part, and the keys that it needs."""
         return {name: getattr(self, name) for name in ("part", *KEYS_OF_ISO_PART[self.part])}
 
 
@@ -317,8 +317,8 @@ class Model:
     @property
     def places(self) -> tuple[str, ...]:
         """Measured cap places in the order of the channels, each once: the degrees of freedom of a fit."""
-        seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION_UNITS)
-        return tuple(p for p in seen if p.split(".")[0] in self.bearings and p.split(".")[1] in CAP_DIRECTIONS)
+        measured = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION_UNITS)
+        return tuple(p for p in measured if p.split(".")[0] in self.bearings and p.split(".")[1] in CAP_DIRECTIONS)
 
     @property
     def tacho(self) -> int | None:
@@ -332,5 +332,5 @@ class Model:
 
     def cap_mass(self, place: str) -> float | None:
         """Mass in kg at a place such as "bearing1.x", with that of a given rotor there; None if unknown."""
-        own = self.mass.get(place, self.mass.get(place.split(".")[0]))
-        return own if self.rotor is None else (own or 0.0) + self.rotor.bearing_mass(place)
+        given = self.mass.get(place, self.mass.get(place.split(".")[0]))
+        return given if self.rotor is None else (given or 0.0) + self.rotor.bearing_mass(place)

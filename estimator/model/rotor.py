@@ -86,9 +86,9 @@ def assemble(model: Model) -> Assembly:
     n = len(dofs)
     M, C, K, S = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     if rotor is not None:
-        own = [of_rotor.index(dof) if dof in of_rotor else -1 for dof in dofs]
-        at = [i for i, k in enumerate(own) if k >= 0]
-        part = rotor.only([own[i] for i in at])
+        numbers = [of_rotor.index(dof) if dof in of_rotor else -1 for dof in dofs]
+        at = [i for i, k in enumerate(numbers) if k >= 0]
+        part = rotor.only([numbers[i] for i in at])
         for target, given in ((M, part.M), (C, part.C), (K, part.K)):
             target[np.ix_(at, at)] = given
     for i, dof in enumerate(dofs):

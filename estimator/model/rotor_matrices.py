@@ -60,8 +60,8 @@ class RotorMatrices:
         """Mass in kg that moves with the shaft at a bearing, faster than all its modes; 0 at other places."""
         if place not in self.dofs:
             return 0.0
-        own = self.decoupling[:, self.dofs.index(place)]
-        return float(own @ self.M @ own)
+        motion = self.decoupling[:, self.dofs.index(place)]
+        return float(motion @ self.M @ motion)
 
     def only(self, dofs: Sequence[int]) -> RotorMatrices:
         """The rotor with all other degrees of freedom held."""
@@ -73,18 +73,18 @@ class RotorMatrices:
         """The rotor as measured bearing caps move it, the other bearings held; None where no cap is on it."""
         directions = {place[-1] for place in places}
         others = set(self.of_nodes(self.bearings)) - {self.dofs.index(p) for p in places if p in self.dofs}
-        own = self.only([i for i, dof in enumerate(self.dofs) if dof[-1] in directions and i not in others])
-        caps = [own.dofs.index(p) if p in own.dofs else -1 for p in places]
-        inner = [i for i in range(len(own.dofs)) if i not in caps]
+        free = self.only([i for i, dof in enumerate(self.dofs) if dof[-1] in directions and i not in others])
+        caps = [free.dofs.index(p) if p in free.dofs else -1 for p in places]
+        inner = [i for i in range(len(free.dofs)) if i not in caps]
         if max(caps, default=-1) < 0:
             return None
-        T = np.zeros((len(own.dofs), len(places) + len(inner)))
+        T = np.zeros((len(free.dofs), len(places) + len(inner)))
         for k, i in enumerate([*caps, *inner]):
-            T[:, k] = own.decoupling[:, i] if i >= 0 else 0.0
-        M, C, K = (T.T @ A @ T for A in (own.M, own.C, own.K))
+            T[:, k] = free.decoupling[:, i] if i >= 0 else 0.0
+        M, C, K = (T.T @ A @ T for A in (free.M, free.C, free.K))
         P = len(places)
         M[np.arange(P), np.arange(P)] = M[:P, P:] = M[P:, :P] = 0.0
-        discs = {own.dofs[i]: T[i] for i in own.of_nodes(self.discs)}
+        discs = {free.dofs[i]: T[i] for i in free.of_nodes(self.discs)}
         return Rotor(places=places, M=M, C=C, K=K, discs=discs)
 
 
@@ -113,13 +113,13 @@ class Rotor:
     def _modes(self) -> tuple[Complexes, Complexes, Complexes]:
         """Modes of the internal coordinates while the caps stand still.
 
-        (r,) poles, rad/s, (n - P, r) their shapes, and (r, P) what each makes of a displacement of the caps.
+        (r,) poles, rad/s, (n - P, r) their shapes, and (r, P) participation of each mode in a displacement of the caps.
         """
         P, n = len(self.places), len(self.M)
         coupled = (np.abs(self.M) + np.abs(self.C) + np.abs(self.K))[P:, P:] > 0.0
-        poles, shapes, pushed = ([np.empty(shape, complex)] for shape in ((0,), (n - P, 0), (0, P)))
-        for own in _components(coupled):
-            at, q = P + own, own.size
+        poles, shapes, participation = ([np.empty(shape, complex)] for shape in ((0,), (n - P, 0), (0, P)))
+        for group in _components(coupled):
+            at, q = P + group, group.size
             Mi = np.linalg.inv(self.M[np.ix_(at, at)])
             free = np.zeros((2 * q, 2 * q))
             free[:q, q:] = np.eye(q)
@@ -127,19 +127,19 @@ class Rotor:
             p, right = np.linalg.eig(free)
             left = np.linalg.inv(right)[:, q:] @ Mi
             shape = np.zeros((n - P, 2 * q), complex)
-            shape[own] = right[:q]
+            shape[group] = right[:q]
             poles.append(p)
             shapes.append(shape)
-            pushed.append(-(left @ self.K[at, :P] + p[:, None] * (left @ self.C[at, :P])))
-        return np.concatenate(poles), np.hstack(shapes), np.vstack(pushed)
+            participation.append(-(left @ self.K[at, :P] + p[:, None] * (left @ self.C[at, :P])))
+        return np.concatenate(poles), np.hstack(shapes), np.vstack(participation)
 
     @cached_property
     def _residues(self) -> Complexes:
         """(r, P, P) N/(m s) of the dynamic stiffness at each pole."""
         P = len(self.places)
-        p, shapes, pushed = self._modes
+        p, shapes, participation = self._modes
         left = self.K[:P, P:] @ shapes + p * (self.C[:P, P:] @ shapes)
-        return np.asarray(left.T[:, :, None] * pushed[:, None, :])
+        return np.asarray(left.T[:, :, None] * participation[:, None, :])
 
     @cached_property
     def direct(self) -> tuple[Array, Array, Array]:
@@ -178,9 +178,9 @@ class Rotor:
 
     def follows(self, disc: str, w: Array) -> Complexes:
         """(f, P) displacement of a disc, such as "disc.x", per displacement of each cap. w : rad/s."""
-        p, shapes, pushed = self._modes
-        P, own = len(self.places), self.discs[disc]
-        return np.asarray(own[:P] + (own[P:] @ shapes / (1j * w[:, None] - p)) @ pushed)
+        p, shapes, participation = self._modes
+        P, weights = len(self.places), self.discs[disc]
+        return np.asarray(weights[:P] + (weights[P:] @ shapes / (1j * w[:, None] - p)) @ participation)
 
     def terms(self) -> tuple[Term, ...]:
         """What comes through the internal coordinates as a sum of real matrices (P, P) times responses of f (Hz)."""
@@ -191,13 +191,13 @@ class Rotor:
             pole = p[np.argmin(done)]
             same = (np.abs(p - pole) <= LIMITS.same_pole_rel * abs(pole)) & ~done
             done |= same
-            own = R[same].sum(axis=0)
-            parts = own.real, 0.0 * own.real
+            residue = R[same].sum(axis=0)
+            parts = residue.real, 0.0 * residue.real
             if pole.imag > 0.0:
-                parts = -2.0 * (own * pole.conj()).real, 2.0 * abs(pole) * own.real
+                parts = -2.0 * (residue * pole.conj()).real, 2.0 * abs(pole) * residue.real
             U, sizes, V = np.linalg.svd(np.stack([z.ravel() for z in parts], axis=1), full_matrices=False)
             for k in np.flatnonzero(sizes > LIMITS.min_term_rel * sizes[0]):
-                out.append((sizes[k] * U[:, k].reshape(own.shape), _second_order(complex(pole), V[k])))
+                out.append((sizes[k] * U[:, k].reshape(residue.shape), _second_order(complex(pole), V[k])))
         return tuple(out)
 
 

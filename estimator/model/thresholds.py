@@ -10,7 +10,7 @@ class Thresholds:
     """Every limit by quantity and unit, file by file. rel : share of the quantity itself."""
 
     # background
-    min_change_rel: float = 1e-3  # of stiffness or damping, that is worth another fit
+    min_change_rel: float = 1e-3  # of stiffness or damping, that needs another fit
 
     # bearing_theory
     preloads_m: tuple[float, ...] = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # of the curves, as in the paper
