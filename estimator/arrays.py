@@ -41,11 +41,11 @@ def return_freed_memory(y: Array) -> None:
 
 
 def true_runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """(runs, 2) first row and row behind the last one of each run of true rows of a mask (n,)."""
+    """(runs, 2) first row, and row after the last row, of each run of true rows of a mask (n,)."""
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
 def products(J: Array) -> Array:
-    """(k, k) products of the rows of J (k, n), a part at a time: threads would wait longer than the sums take."""
+    """(k, k) inner products of the rows of J (k, n), part by part: threads would cost more time than the sums."""
     parts = np.array_split(J, max(J.size // ELEMENTS_PER_PRODUCT, 1), axis=1)
     return np.asarray(sum(part @ part.T for part in parts), np.float64)

@@ -26,7 +26,7 @@ _ONE_CORE = ContextVar("one core", default=False)
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Within it, this thread computes everything itself: for callers that have other work for the other cores.
+    """Context in which this thread computes everything itself: for callers that have other work for the other cores.
 
     Results are the same.
     """

@@ -65,8 +65,8 @@ class SharedValue:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `shared` in the JSON of a fit."""
-        own = ("value", "sd", "unit", "p_equal")
-        return {name: getattr(self, name) for name in own} | {"places": list(self.places)}
+        names = ("value", "sd", "unit", "p_equal")
+        return {name: getattr(self, name) for name in names} | {"places": list(self.places)}
 
     def sentence(self, name: str) -> str:
         """One line for the user about the parameter `name`."""
@@ -296,7 +296,7 @@ def certain_missing_effects(extra: Mapping[str, float]) -> list[str]:
 
 
 class OnlineEstimator(Protocol):
-    """What every rolling estimator does.
+    """Interface of every rolling estimator.
 
     It is constructed as ``cls(model, rate_hz, time_constant_s)`` and fed consecutive blocks of one size. It is
     deterministic: live and replay agree bit for bit. It never raises on data.

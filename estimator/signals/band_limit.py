@@ -327,7 +327,7 @@ def out_of_band_sd(
     kinds: Sequence[str],
     driven: Array | float = 0.0,
 ) -> Array:
-    """(places, 2) sd of the displacement and velocity that laws do not see, from the linear response to S.
+    """(places, 2) sd of the displacement and velocity outside the band, from the linear response to S.
 
     kinds : of the sensor at each place. driven : PSD of the measured force there, by which laws see what is slow.
     """
@@ -341,7 +341,7 @@ def out_of_band_sd(
 
 
 def below_band_force(force: Array, rate_hz: float, band: tuple[float, float]) -> Array:
-    """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
+    """(n,) N, part of a measured force below the band, without the offset and the drift of its sensor."""
     size = next_fast_len(force.size, real=True)
     F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
     return np.asarray(

@@ -31,10 +31,10 @@ class BandLimitedRecord(BandLimit):
     ) -> None:
         """columns : of y, one a kind; None: all of them, in order."""
         super().__init__(kinds, rate_hz, band, extra, slow, undone)
-        own = list(range(y.shape[1])) if columns is None else list(columns)
-        self._y, self._columns = y, slice(None) if own == list(range(y.shape[1])) else own
+        numbers = list(range(y.shape[1])) if columns is None else list(columns)
+        self._y, self._columns = y, slice(None) if numbers == list(range(y.shape[1])) else numbers
         absent = np.zeros(len(y), bool)
-        for k in own:
+        for k in numbers:
             absent |= ~np.isfinite(y[:, k])
         missing = np.concatenate([[0], np.cumsum(absent, dtype=np.int32)])
         self.valid: NDArray[np.bool_] = np.zeros(len(y), bool)
@@ -64,12 +64,12 @@ class BandLimitedRecord(BandLimit):
         total = sum(rows.stop - rows.start for rows in stretches)
         out: list[NDArray[Any]] = [np.empty((len(self.kinds), total), dtype) for _ in self.outputs]
         asked: list[tuple[int, int, int, int]] = []  # block; first and last row of it that is wanted; where they go
-        begun = 0
+        filled = 0
         for rows in stretches:
             for b in range(rows.start // self._hop, -(-rows.stop // self._hop)):
                 lo, hi = max(rows.start, b * self._hop), min(rows.stop, (b + 1) * self._hop)
-                asked.append((b, lo, hi, begun + lo - rows.start))
-            begun += rows.stop - rows.start
+                asked.append((b, lo, hi, filled + lo - rows.start))
+            filled += rows.stop - rows.start
 
         def fill(want: tuple[int, int, int, int]) -> None:
             b, lo, hi, to = want

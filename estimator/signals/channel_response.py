@@ -45,8 +45,8 @@ def anti_alias_response(model: Model, rate_hz: float) -> Callable[[Array], Compl
 
     Beyond the upper band edge the response is that at the edge, as nothing is known there.
     """
-    own = model.anti_alias
-    return None if own is None else lambda f_hz: own.response(np.minimum(f_hz, model.band[1]), rate_hz)
+    anti_alias = model.anti_alias
+    return None if anti_alias is None else lambda f_hz: anti_alias.response(np.minimum(f_hz, model.band[1]), rate_hz)
 
 
 def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
@@ -68,8 +68,8 @@ def channel_response(model: Model, place: str, w: Array) -> Complexes:
 def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None]:
     """Values of an effect's use for the motion channel at a place; empty if it is for another place."""
     channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION_UNITS}
-    own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
-    return {name: setting.value for name, setting in own[0].items()} if own else {}
+    settings = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
+    return {name: setting.value for name, setting in settings[0].items()} if settings else {}
 
 
 def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:

@@ -80,8 +80,8 @@ class LineSpectrum:
 
     def _recorded(self, f_hz: Array) -> Complexes:
         """(f,) response of the recorder's filter, measured over true; 1 where none is given."""
-        own = anti_alias_response(self.model, self.rate_hz)
-        return np.ones(f_hz.shape, complex) if own is None else own(f_hz)
+        response = anti_alias_response(self.model, self.rate_hz)
+        return np.ones(f_hz.shape, complex) if response is None else response(f_hz)
 
     def accelerations(self, bins: slice | NDArray[np.intp]) -> Complexes:
         """(places, bins) amplitudes of acceleration of some bins."""
@@ -117,9 +117,9 @@ class LineSpectrum:
         """
         k = int(np.clip(round(hz * self.seconds), LIMITS.line_reach_bins, self.f_hz.size - 1 - LIMITS.line_reach_bins))
         near = np.abs(self.Y[:, k - LIMITS.line_reach_bins : k + LIMITS.line_reach_bins + 1]) ** 2
-        own = slice(LIMITS.line_reach_bins - 2, LIMITS.line_reach_bins + 3)
-        beside = np.delete(near, own, axis=1).mean(axis=1)
-        return float((near[:, own].max(axis=1) / np.maximum(beside, 1e-300)).max())
+        line = slice(LIMITS.line_reach_bins - 2, LIMITS.line_reach_bins + 3)
+        beside = np.delete(near, line, axis=1).mean(axis=1)
+        return float((near[:, line].max(axis=1) / np.maximum(beside, 1e-300)).max())
 
 
 def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
@@ -142,7 +142,7 @@ def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
 def residual_spectrum(
     s: LineSpectrum, y: Array, forces: Mapping[int, int], stiffness: Callable[[Array], Complexes]
 ) -> LineSpectrum:
-    """Spectrum of what the motion of `s` asks for beyond the measured forces: places in N, whatever their sensors.
+    """Spectrum of the force, N, that the motion of `s` needs beyond the measured forces, at every place.
 
     forces : place -> column of its force in y; stiffness : (f,) Hz -> (f, places, places) force per acceleration.
     What is in proportion to the measured force, about each frequency, is taken out: an error of the model there makes

@@ -141,12 +141,12 @@ class Simulator:
 
     def _recorded(self, rows: Array) -> Array:
         """The rows behind the recorder's anti-alias filter, without its delay; a tacho does not pass it."""
-        own, padded = self.model.anti_alias, [(LIMITS.margin_samples, LIMITS.margin_samples), (0, 0)]
-        if own is None:
+        design, padded = self.model.anti_alias, [(LIMITS.margin_samples, LIMITS.margin_samples), (0, 0)]
+        if design is None:
             return np.asarray(rows)
         behind = [k for k, c in enumerate(self.model.channels) if c.kind != "tacho"]
         whole = np.pad(rows[:, behind], padded, mode="reflect")
-        H = own.response(np.asarray(np.fft.rfftfreq(len(whole), 1.0 / self.rate_hz), dtype=np.float64), self.rate_hz)
+        H = design.response(np.asarray(np.fft.rfftfreq(len(whole), 1.0 / self.rate_hz), dtype=np.float64), self.rate_hz)
         out = rows.copy()
         filtered = np.fft.irfft(np.fft.rfft(whole, axis=0) * H[:, None], len(whole), axis=0)
         out[:, behind] = filtered[LIMITS.margin_samples : -LIMITS.margin_samples]
@@ -176,9 +176,9 @@ class Simulator:
 
 def _refuse_without_speed(model: Model, plan: Plan) -> None:
     """Raise ModelError where a law or a tacho needs the shaft speed."""
-    turning = [a.effect.name for a in plan.acting if a.effect.turns]
-    if turning or model.tacho is not None:
-        raise ModelError(f"no shaft speed, but {', '.join(turning) or 'a tacho channel'} needs it: give speed_rpm")
+    by_angle = [a.effect.name for a in plan.acting if a.effect.turns]
+    if by_angle or model.tacho is not None:
+        raise ModelError(f"no shaft speed, but {', '.join(by_angle) or 'a tacho channel'} needs it: give speed_rpm")
 
 
 def quantise(y: Array, full_scale: float, bits: int = 16) -> Array:
