@@ -27,9 +27,9 @@ def fitted_model(model: Model, point: WorkingPoint) -> Model:
     effects = [_with_values(use, [p for p in point.placed if p.effect.name == use.name]) for use in model.effects]
     known = {use.name for use in model.effects}
     for name in dict.fromkeys(p.effect.name for p in point.placed if p.effect.name not in known):
-        own = [p for p in point.placed if p.effect.name == name]
+        laws = [p for p in point.placed if p.effect.name == name]
         law = next((use.custom for use in model.candidates if use.name == name), None)
-        effects.append(_with_values(EffectUse(name, {}, law), own))
+        effects.append(_with_values(EffectUse(name, {}, law), laws))
     left = tuple(use for use in model.candidates if use.name not in {e.name for e in effects})
     return replace(model, linear=linear, effects=tuple(effects), candidates=left)
 
@@ -53,7 +53,7 @@ def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A fitted value with its standard deviation, both in `unit`, before it is said whether it is identifiable."""
+    """A fitted value with its standard deviation, both in `unit`, before the decision whether it is identifiable."""
 
     value: float
     sd: float

@@ -231,7 +231,7 @@ def _step_limits(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, t
 
 
 def step_within_limits(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
-    """(k,) increments of the fit, scaled; those beyond a limit are held there, and the others are refitted to that.
+    """(k,) increments of the fit, scaled; those beyond a limit are held at the limit, and the others are refitted.
 
     limits : by name, least and largest increment in SI units.
     """
@@ -239,7 +239,7 @@ def step_within_limits(point: WorkingPoint, limits: Mapping[str, tuple[float, fl
     delta, covariance = fit.delta.copy(), fit.covariance.copy()
     loose = {k: np.divide(limits[name], fit.scales[k]) for k, name in enumerate(fit.names) if name in limits}
     while loose:
-        beyond = {k: float(np.clip(delta[k], *own) - delta[k]) for k, own in loose.items()}
+        beyond = {k: float(np.clip(delta[k], *allowed) - delta[k]) for k, allowed in loose.items()}
         worst = max(beyond, key=lambda k: abs(beyond[k]) / np.sqrt(covariance[k, k]))
         if beyond[worst] == 0.0:
             break

@@ -1,4 +1,4 @@
-"""Sensor noise as the spectrum of the residual force shows it."""
+"""Level of the sensor noise, from the spectrum of the residual force."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
     Also (places,) the mean over the band of nu = 1 referred to force, over S.
     """
     data = point.data
-    own = data.noise_referred_to_force(point.A)
+    referred = data.noise_referred_to_force(point.A)
     noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
-    known = data.excitation_shape + noise - point.nu[:, None] * own
+    known = data.excitation_shape + noise - point.nu[:, None] * referred
     known = np.maximum(known, LIMITS.min_shape_rel * known.max(axis=1, keepdims=True))
-    weight = own.mean(axis=1)
+    weight = referred.mean(axis=1)
 
     def at(i: int) -> float:
         step = point.fit.delta[point.whitened.index[i]].astype(np.float32)  # the noise is of the values after it
@@ -31,7 +31,7 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
         Z = Z.reshape(data.blocks, -1, 2)
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.whitening.weight[i]
         grid = np.concatenate([[0.0], np.geomspace(MIN_NOISE_RATIO, 1e3, 61) / weight[i]])
-        shape = known[i] + grid[:, None] * own[i]
+        shape = known[i] + grid[:, None] * referred[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
         return grid_minimum(grid, cost)

@@ -105,13 +105,13 @@ def frequency_index(effect: Effect) -> int | None:
     return next(numbers, None)
 
 
-def fundamental_hz(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
+def fundamental_hz(effect: Effect, settings: Mapping[str, Setting], model: Model) -> float:
     """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
     rotation, k = (model.speed_rpm or 0.0) / 60.0, frequency_index(effect)
     if k is None:
         return rotation
     q = effect.parameters[k]
-    value = own.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
+    value = settings.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
     return value if effect.state == "time" else rotation * value
 
 
@@ -166,10 +166,10 @@ def periodic_effects(model: Model) -> list[PeriodicEffect]:
                 p = values(effect, use, model, key)
             except ModelError:
                 continue
-            own = written(effect, use, model, key)
-            hz = fundamental_hz(effect, own, model)
+            settings = written(effect, use, model, key)
+            hz = fundamental_hz(effect, settings, model)
             if hz > 0.0:
-                free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
+                free = tuple(not settings.get(q.name, Setting()).fixed for q in effect.parameters)
                 out.append(PeriodicEffect(effect=effect, key=key, p=p, free=free, hz=hz))
     return out
 

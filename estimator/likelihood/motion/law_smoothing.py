@@ -252,7 +252,7 @@ def interpolated(z: Series, finer: int = LIMITS.law_grid_factor) -> Array:
 
 
 def decimated(force: Array, finer: int = LIMITS.law_grid_factor) -> Array:
-    """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
+    """The inner rows of a force on the finer grid of `LawStates.finer`, without components above Nyquist."""
     out = np.empty(force.size // finer - 2 * HALF_SUPPORT_ROWS)
     _decimate(force, _prototype(finer)[1], finer, out)
     return out

@@ -40,9 +40,9 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
     n, M = effect.states, state_matrix(effect, p, lin)
     if M is None:
         return None
-    own, reads = M[:n, :n], M[n]
+    states, reads = M[:n, :n], M[n]
 
-    rates_at, modes = np.linalg.eig(own)
+    rates_at, modes = np.linalg.eig(states)
     apart = n > 0 and np.linalg.cond(modes) < LIMITS.max_mode_condition
 
     def transfer(w: Array) -> Complexes:
@@ -52,7 +52,7 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
             through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
         else:
             push = M[:n, n] + iw[:, None] * M[:n, n + 1]
-            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - own, push[..., None]))[..., 0]
+            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - states, push[..., None]))[..., 0]
         return np.asarray(through + reads[n] + iw * reads[n + 1])
 
     return transfer

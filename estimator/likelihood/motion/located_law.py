@@ -185,7 +185,7 @@ def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bo
 def _character(
     effect: Effect, p: tuple[float, ...], size: tuple[float, ...], folding_hz: float
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Which of x, v, xo, vo a law reads, and whether it needs a finer grid. size : (4,) rms of the four."""
+    """Which of x, v, xo, vo a law reads, and whether the law needs a finer grid. size : (4,) rms of the four."""
     values, rms = np.array(p), np.array(size)
     reads = reads_states(effect, values, np.maximum(rms, 1e-300))
     return reads, has_jump(effect, values, rms) or harmonics_alias(effect, values, rms, folding_hz)

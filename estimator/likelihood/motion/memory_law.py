@@ -90,8 +90,8 @@ class StepResponses:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _launch(step, force, stride, halvings, sums, counts):  # type: ignore[no-untyped-def]
-    """Add to sums (lags,) what displacement that rises by 1 over a step of the grid adds to the force from row to row,
-    a rise every `stride` rows; to counts (lags,) how many there were."""
+    """Add to sums (lags,) the increments, from row to row, of the force after a rise of the displacement by 1 over a
+    step of the grid, a rise every `stride` rows; add to counts (lags,) the number of rises."""
     n, S = step.shape[:2]
     z, after = np.zeros(S), np.zeros(S)
     number = 0

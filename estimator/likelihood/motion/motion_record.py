@@ -109,7 +109,7 @@ class MotionRecord:
     background: Background | None = None
 
     def is_judged_like(self, other: MotionRecord) -> bool:
-        """Whether the likelihood is of the same share of the same bins as that of another record."""
+        """Whether the likelihood is of the same bins, with the same leaking edges, as that of another record."""
         return self.leaking_edges_hz == other.leaking_edges_hz and np.array_equal(self.bins, other.bins)
 
     @property
@@ -191,7 +191,7 @@ class MotionRecord:
         return 1.0 if self.places[i].endswith("x") else -1.0
 
     def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionRecord:
-        """Record with `of` applied to every series of motion (places, n), and other fields as given."""
+        """Record with the function `of` applied to every series of motion (places, n), and other fields as given."""
         series = (self.measured, self.slow, self.denoise_correction)
         measured, slow, correction = (None if z is None else of(z) for z in series)
         return replace(
@@ -204,7 +204,7 @@ class MotionRecord:
         return replace(self, x=x, measured=None, slow=None, denoise_correction=None, below_band_force=None)
 
     def of_blocks(self, some: NDArray[np.int64]) -> dict[str, Any]:
-        """Fields with a value for every block, at some blocks."""
+        """Fields with one value per block, at some blocks."""
         level = None if self.level is None else self.level[:, some]
         return {"start": self.start[some], "fold": self.fold[some], "level": level}
 
@@ -253,8 +253,8 @@ def leading_of_sixths(total: int, blocks: float, part: int = 0) -> NDArray[np.in
     if total <= 1.25 * max(12.0, blocks):
         return None
     per_sixth = max(2, int(blocks) // 6)
-    own = slice(part * per_sixth, (part + 1) * per_sixth)
-    return np.concatenate([sixth[own] for sixth in np.array_split(np.arange(total), 6)])
+    leading = slice(part * per_sixth, (part + 1) * per_sixth)
+    return np.concatenate([sixth[leading] for sixth in np.array_split(np.arange(total), 6)])
 
 
 def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:

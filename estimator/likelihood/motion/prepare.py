@@ -52,7 +52,7 @@ def prepare(
 
 
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
-    """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
+    """Messages on a record that is longer than the part that is kept, or so short that it shows little."""
     used, whole = data.seconds, len(y) / data.rate_hz
     if data.blocks * data.block < LIMITS.min_samples:
         asked_s = max(30.0, 2.0 * LIMITS.min_samples / data.rate_hz)
@@ -128,7 +128,7 @@ def motion_record(
 
 
 def _lines_passed(model: Model, rate_hz: float) -> tuple[LineBand, ...]:
-    """The narrow lines that pass the band limit, also those beside the band, with the power that is left of them."""
+    """The narrow lines that pass the band limit, also those beside the band, with the power that passes."""
     gain = passband(np.array([b.centre_hz for b in model.line_bands]), rate_hz, model.band)
     return tuple(
         replace(b, power_over_psd_hz=b.power_over_psd_hz * g**2)

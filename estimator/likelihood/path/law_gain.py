@@ -49,7 +49,7 @@ class BaseFit(NamedTuple):
 
 
 def base_fit(point: WorkingPoint, places: tuple[int, ...]) -> BaseFit:
-    """The fit of the model alone at these places: what a law there is compared with."""
+    """The fit of the model alone at these places, to which a law on trial is compared."""
     plain = subproblem(point, places)
     fit = plain.fit(steps=3)
     return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
@@ -85,5 +85,5 @@ def fitted_gain(point: WorkingPoint, placed: LocatedLaw, against: BaseFit | None
 
 
 def _is_needed(q: EffectParameter, value: float, sd: float) -> bool:
-    """Whether an amplitude is within its limits, and gains more than it costs where the law can do without it."""
+    """Whether an amplitude is within its limits, and gains more than its cost if the law is possible without it."""
     return q.low <= value <= q.high and (q.share > 0.0 or value**2 > 2.0 * LIMITS.optional_cost_nats * sd**2)

@@ -224,7 +224,7 @@ def _is_positive(H: Array) -> bool:
 
 
 def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
-    """H^-1 g, eigenvalues relative to the diagonal at least 1e-6; nothing along those below `min_information`.
+    """H^-1 g, eigenvalues relative to the diagonal at least 1e-6; 0 along eigenvectors below `min_information`.
 
     Raises DivergedError where H is not finite.
     """

@@ -89,13 +89,13 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     Other places keep responding through the shaft, in the residual force and in the Jacobian.
     """
     at = np.array(coupled_places(point, places))
-    own, base = point.whitened, base_regressors(point, at)
+    whitened, base = point.whitened, base_regressors(point, at)
     rows = np.array([0] + [1 + k for k in base])
-    names = tuple(own.names[k] for k in base)
+    names = tuple(whitened.names[k] for k in base)
     gram = Gram(
         G=np.ascontiguousarray(point.gram.G[at][:, :, rows[:, None], rows]), n=point.gram.n[at],
-        log_weight=point.gram.log_weight[at], tangents=point.jacobian.tangents(own.tangents[base], at),
-        scales=own.scales[base], names=names,
+        log_weight=point.gram.log_weight[at], tangents=point.jacobian.tangents(whitened.tangents[base], at),
+        scales=whitened.scales[base], names=names,
     )  # fmt: skip
     plain = Subproblem(
         places=tuple(at.tolist()), gram=gram, jacobian=point.jacobian.of_places(at), blocks=point.data.fold_blocks,
@@ -143,10 +143,10 @@ def fold_products(point: WorkingPoint, i: int, base: list[int], f: int, X: Spect
 
     X : (q, blocks, 2 bins). The products are (rows, q) with X and (q, q) of X with itself.
     """
-    own, here = point.whitened, point.data.fold == f
+    whitened, here = point.whitened, point.data.fold == f
     Z = X.reshape(len(X), -1)
-    cross = np.concatenate([point.spectra[i][None, here], own.spectra[i][:, here]]).reshape(-1, Z.shape[1])
-    rows = np.array([0] + [1 + base.index(int(k)) for k in own.index[i]])
+    cross = np.concatenate([point.spectra[i][None, here], whitened.spectra[i][:, here]]).reshape(-1, Z.shape[1])
+    rows = np.array([0] + [1 + base.index(int(k)) for k in whitened.index[i]])
     return rows, (cross @ Z.T).astype(np.float64), (Z @ Z.T).astype(np.float64)
 
 

@@ -169,14 +169,14 @@ def point_at(
     data: MotionRecord, kL: Array, c: Array, nu: Array, S: Array, uses: list[LocatedLaw],
     longer: WorkingPoint | None = None,
 ) -> WorkingPoint:  # fmt: skip
-    """The working point of a model at given values (places,). uses : the laws with theirs.
+    """The working point of a model at given values (places,). uses : the laws with their values.
 
     longer : the point on more of the record, whose second-order corrections are kept; None: they are computed.
     """
     P = len(data.places)
     lin = np.stack([data.mass, kL, c], axis=1)
-    own = map_threads(lambda use: regressors(use, data, lin), uses)
-    F, A, D = _forces(data, kL, c, uses, own)
+    of_laws = map_threads(lambda use: regressors(use, data, lin), uses)
+    F, A, D = _forces(data, kL, c, uses, of_laws)
     s = contour(A, data.mass, D, data.f_hz, data.rotor)
 
     def along_line(A: Complexes) -> Complexes:
@@ -185,14 +185,14 @@ def point_at(
     noise = referred_noise(data, A, nu, S)
     whitening = Whitening(data=data, noise=noise, s=s, measured=_to_measured(data, noise, along_line(A), s))
     spectra = dict(enumerate(map_threads(lambda i: whitening.spectrum(i, F[i]), range(P))))
-    mean = _modal_responses(data, D, uses, own, lin)
+    mean = _modal_responses(data, D, uses, of_laws, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     if longer is None:
-        own = map_threads(lambda k: with_second_order(own[k], uses[k], around), range(len(uses)))
+        of_laws = map_threads(lambda k: with_second_order(of_laws[k], uses[k], around), range(len(uses)))
     else:
-        own = map_threads(lambda k: _corrected_as_longer(own[k], uses[k], longer), range(len(uses)))
+        of_laws = map_threads(lambda k: _corrected_as_longer(of_laws[k], uses[k], longer), range(len(uses)))
     common = {(i, j): force_correlation(data, noise.weight, i, j) for i, j in data.shared}
-    made = _all_regressors(data, lin, uses, own) + _common_force_regressors(data, F, noise.weight, common)
+    made = _all_regressors(data, lin, uses, of_laws) + _common_force_regressors(data, F, noise.weight, common)
     whitened = whitening.whiten(made)
     G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)

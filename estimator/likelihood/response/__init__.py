@@ -1,1 +1,1 @@
-"""Mean response of the rotor to a push, and its second-order correction beside nonlinear laws."""
+"""Mean response of the rotor to a force, and its second-order correction beside nonlinear laws."""

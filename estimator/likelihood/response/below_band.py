@@ -50,8 +50,8 @@ def usual_sizes(effect: Effect) -> Array:
     return np.array([of("m"), of("m/s")] * 2)
 
 
-def below_band_displacement(push: Mapping[int, Array], data: MotionRecord, D: Array) -> dict[int, Array]:
-    """(n,) m by place, unmeasured displacement below the band under restoring forces push (n,) N by place.
+def below_band_displacement(load: Mapping[int, Array], data: MotionRecord, D: Array) -> dict[int, Array]:
+    """(n,) m by place, unmeasured displacement below the band under restoring forces `load` (n,) N by place.
 
     D : (places, places, 2) mean tangents by displacement and velocity, N/m and N s/m.
     """
@@ -62,7 +62,7 @@ def below_band_displacement(push: Mapping[int, Array], data: MotionRecord, D: Ar
     f: Array = np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz)[: int(low * size / data.rate_hz) + 1], np.float64)
     unmeasured = [np.where(f < low, unmeasured_gain(f, data.rate_hz, data.band, kind), 0.0) for kind in data.kinds]
     G = np.stack(unmeasured, axis=1)[..., None] * compliance(2 * np.pi * f, data.mass, D, data.rotor)
-    forces = {j: np.asarray(rfft(one, size)[: f.size]) for j, one in push.items()}
+    forces = {j: np.asarray(rfft(one, size)[: f.size]) for j, one in load.items()}
     there = [i for i in range(G.shape[1]) if G[:, i, list(forces)].any()]
     F = np.stack([*forces.values()], axis=1)
     return {i: irfft(-(G[:, i, list(forces)] * F).sum(axis=1), size)[:n] for i in there}
@@ -75,21 +75,21 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
     identified by the band. kL : (places,) N/m; c : (places,) N s/m.
     """
     lin = np.stack([data.mass, kL, c], axis=1)
-    own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
+    own = [[u for u in uses if i in u.at and u.p.any() and _is_slow(u, data, i, lin)] for i in range(len(data.places))]
     if not any(own) and data.below_band_force is None:
         return data
     for _ in range(1 if data.below_band_force is None else LIMITS.measured_force_rounds):
-        push, tangents = _pushed(data, own, lin)
+        load, tangents = _slow_force(data, own, lin)
         D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
         if data.below_band_force is not None:  # the caps then move much, and a strong law answers as its mean tangent
             D[..., 0] += tangents
             if not _above(data, np.diag(D[..., 0])):
                 return with_below_band_motion(replace(data, slow=data.measured, below_band_force=None), kL, c, uses)
             before = np.zeros(data.x.shape, np.float32) if data.slow is None else data.slow
-            push = {i: push.get(i, 0.0) - tangents[i] @ before - force for i, force in enumerate(data.below_band_force)}
+            load = {i: load.get(i, 0.0) - tangents[i] @ before - force for i, force in enumerate(data.below_band_force)}
         slow = np.zeros(data.x.shape, np.float32)
-        if push:
-            for i, x in below_band_displacement(push, data, D).items():
+        if load:
+            for i, x in below_band_displacement(load, data, D).items():
                 slow[i] += x
         if data.measured is not None:
             slow += data.measured
@@ -103,14 +103,14 @@ def _above(data: MotionRecord, k: Array) -> bool:
     return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
 
 
-def _pushes(use: LocatedLaw, data: MotionRecord, i: int, lin: Array) -> bool:
-    """Whether a law makes displacement below the band, or acts on that of a measured force."""
+def _is_slow(use: LocatedLaw, data: MotionRecord, i: int, lin: Array) -> bool:
+    """Whether a law makes displacement below the band, or acts on the displacement of a measured force."""
     if use.effect.kind == "force":
         return data.below_band_force is not None or has_even_part(use.effect, use.p, data.sizes(i))
     return has_nonlinear_memory(use, lin[i])
 
 
-def _pushed(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array) -> tuple[dict[int, Array], Array]:
+def _slow_force(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array) -> tuple[dict[int, Array], Array]:
     """Force (n,) N of the laws by place, and (places, places) N/m their mean tangents to the displacements."""
 
     def force(use: LocatedLaw, i: int) -> tuple[Array, Array]:

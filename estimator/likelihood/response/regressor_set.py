@@ -181,13 +181,13 @@ class Span:
 
 def span_at(base: Sequence[Regressor], i: int) -> Span:
     """Span of the base regressors at place i, without a mass: its response is no tangent."""
-    own = tuple(b for b in base if i in b.series and b.mass_at is None)
-    part = np.stack([(b.series[i][:: LIMITS.projection_stride] * b.scale).astype(np.float32) for b in own])
+    spanning = tuple(b for b in base if i in b.series and b.mass_at is None)
+    part = np.stack([(b.series[i][:: LIMITS.projection_stride] * b.scale).astype(np.float32) for b in spanning])
     wide = part.astype(np.float64)
-    more = next((b.memory[i] for b in own if i in b.memory), None)
-    memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
-    slopes = np.stack([b.tangent[i] * b.scale for b in own])
-    return Span(base=own, part=part, gram=wide @ wide.T, slopes=slopes, memory=memory)
+    more = next((b.memory[i] for b in spanning if i in b.memory), None)
+    memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in spanning])
+    slopes = np.stack([b.tangent[i] * b.scale for b in spanning])
+    return Span(base=spanning, part=part, gram=wide @ wide.T, slopes=slopes, memory=memory)
 
 
 class Spans:

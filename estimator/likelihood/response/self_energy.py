@@ -1,4 +1,4 @@
-"""What a fluctuating tangent does to the mean response of a law, to second order, from covariances of tangents.
+"""Second-order correction (self-energy) of the mean response of a law, from covariances of its fluctuating tangents.
 
 The data's side of the score of a law is E[phi_j F] in the band. For Gaussian white F it equals (Novikov's theorem) S
 times the mean of phi_j' G, with G the response of the linearised motion whose tangents fluctuate with the state. The

@@ -74,7 +74,7 @@ class Jacobian:
         self._set_reference()
 
     def _set_reference(self) -> None:
-        """Set what the sum is compared with: det A0, how it turns, and half of the trace of the second-order part."""
+        """Set the reference of the sum: det A0, its phase steps, and half of the trace of the second-order part."""
         self.determinant0, self.half_trace = _determinants(self.A0), 0.0
         self.turned0 = phase_steps(self.determinant0)
         if self.second_order.any():

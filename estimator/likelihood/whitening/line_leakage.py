@@ -35,9 +35,9 @@ class Leakage:
 
     def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
         """Project the shapes out of spectra Z (blocks, 2 bins) at place i, in place. It needs as much memory again."""
-        own = self.shapes[i]
+        shapes = self.shapes[i]
         parts = np.concatenate([Z[:, 0::2], Z[:, 1::2]])  # real and imaginary parts
-        parts -= (parts @ own) @ own.T
+        parts -= (parts @ shapes) @ shapes.T
         Z[:, 0::2], Z[:, 1::2] = parts[: len(Z)], parts[len(Z) :]
 
 
@@ -72,7 +72,7 @@ def line_leakage(data: MotionRecord, weights: NDArray[np.floating]) -> Leakage |
 
 
 def _forms(data: MotionRecord, f0: float, powers: tuple[int, int]) -> list[Array]:
-    """Shapes (bins,) of what leaks from f0, Hz. powers : highest power of the cotangent at f0 and at -f0."""
+    """Shapes (bins,) of the leakage from f0, Hz. powers : highest power of the cotangent at f0 and at -f0."""
     here, mirrored = (1.0 / np.tan(np.pi * (data.f_hz - f) / data.rate_hz) for f in (f0, -f0))
     return [z**k for z, most in zip((here, mirrored), powers, strict=True) for k in range(1, most + 1)]
 

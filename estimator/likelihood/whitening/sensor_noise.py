@@ -66,8 +66,8 @@ def force_correlation(data: MotionRecord, weight: Array, i: int, j: int) -> Comp
 
     weight : (places, bins).
     """
-    own = np.sqrt(weight[i] * weight[j])
-    return np.asarray(own * np.sqrt(data.excitation_shape[i] * data.excitation_shape[j]), complex)
+    root_weight = np.sqrt(weight[i] * weight[j])
+    return np.asarray(root_weight * np.sqrt(data.excitation_shape[i] * data.excitation_shape[j]), complex)
 
 
 def referred_psd(data: MotionRecord, A: Complexes, N: Array) -> Array:
