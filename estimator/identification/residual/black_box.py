@@ -228,7 +228,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
 
 
 def with_known_response(problem: Subproblem) -> Subproblem:
-    """The problem in which extra regressors that the model's own regressors span have the response of these.
+    """The problem in which extra regressors in the span of the model's regressors have the response of the latter.
 
     One force has one response. The second-order response of an extra regressor is known to one per cent only. Its
     difference from the model's own response would change the determinant, and win likelihood, without any force.

@@ -80,7 +80,7 @@ def fit_found_harmonics(
 
 
 def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
-    """The model with the parameters of its periodic effects at rest, the rest of the model fixed; and these parameters.
+    """The model with converged parameters of its periodic effects, all else fixed; and these parameters.
 
     Parameters are keyed "location.effect.name". Narrow impacts need more than two steps.
     """
@@ -88,7 +88,7 @@ def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str
 
 
 def _step_until_settled(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
-    """The model with its periodic effects after steps until they rest. whole : (places, n) N without these."""
+    """The model with its periodic effects after steps to convergence. whole : (places, n) N without these effects."""
     found: dict[str, Parameter] = {}
     for _ in range(LIMITS.max_steps):
         wave = _periodic_series(alone, point.data)
@@ -113,7 +113,7 @@ def _periodic_series(model: Model, data: MotionRecord) -> Series:
 
 
 def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[Model, dict[str, Parameter]]:
-    """The model with its periodic parameters one step nearer, and these parameters with standard deviations.
+    """The model with its periodic parameters after one step, and these parameters with standard deviations.
 
     point : working point of the rest of the model. force : (places, n) N, residual force with the effects as they are.
     Parameters of effects outside the band stay.
@@ -253,8 +253,8 @@ def residual_harmonics(point: WorkingPoint, i: int, angle: Array, count: int) ->
     return np.asarray(np.average(demodulate(point.force[i], angle, count), axis=0, weights=window))
 
 
-def residual_tells(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
-    """(f,) whether the residual force is the better reading of a line: it has the line, in the band, and laws act."""
+def residual_shows_lines(point: WorkingPoint, f_hz: Array) -> NDArray[np.bool_]:
+    """(f,) whether the residual force shows a line better than the motion: the line is in the band, and laws act."""
     data = point.data
     if not point.placed:
         return np.zeros(f_hz.size, bool)

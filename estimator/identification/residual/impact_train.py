@@ -166,14 +166,14 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
     F, unit : (harmonics,) N of the force by the mean tangent at location i, and of the noise near each harmonic.
     """
     over = F / unit
-    seen = (over**2 > LIMITS.visible_power_ratio) & harmonic_fit.residual_tells(
+    visible = (over**2 > LIMITS.visible_power_ratio) & harmonic_fit.residual_shows_lines(
         point, hz * np.arange(1.0, over.size + 1)
     )
-    if point.data.measured_force or not seen.any():
+    if point.data.measured_force or not visible.any():
         return False
-    left = harmonic_fit.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
-    over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
-    return bool(np.sum(over_noise) < LIMITS.min_unexplained_rel**2 * np.sum(over[seen] ** 2))
+    residual = harmonic_fit.residual_harmonics(point, i, order * point.data.phase, over.size)[visible]
+    over_noise = np.abs(residual / unit[visible]) ** 2  # one beside a resonance is many times the others
+    return bool(np.sum(over_noise) < LIMITS.min_unexplained_rel**2 * np.sum(over[visible] ** 2))
 
 
 def _defect_finding(

@@ -255,13 +255,13 @@ def _force_or_hum(point: WorkingPoint, s: LineSpectrum, hz: float) -> str:
     if set(s.kinds) != {"acceleration"} or len(s.kinds) < 2:
         return ""
     Y, noise = s.at(hz)
-    seen = np.abs(Y) ** 2 > 9.0 * noise
-    if seen.sum() == 1:
-        place = point.data.places[int(np.argmax(seen))]
+    visible = np.abs(Y) ** 2 > 9.0 * noise
+    if visible.sum() == 1:
+        place = point.data.places[int(np.argmax(visible))]
         return f"only the channel of {place} shows the line: a force there, or hum, which a rotor at rest leaves"
     mean = np.mean(Y)
-    alike = np.abs(Y - mean) < LIMITS.line_tolerance_rel * abs(mean) + 3.0 * np.sqrt(noise)
-    if not alike.all() or np.sqrt(noise.max()) > 5.0 * LIMITS.line_tolerance_rel * abs(mean):
+    is_common = np.abs(Y - mean) < LIMITS.line_tolerance_rel * abs(mean) + 3.0 * np.sqrt(noise)
+    if not is_common.all() or np.sqrt(noise.max()) > 5.0 * LIMITS.line_tolerance_rel * abs(mean):
         return ""
     A = tangent_at(point, s.model, np.array([hz]))[0]
     moved = np.linalg.solve(A, np.ones(Y.size))
@@ -277,7 +277,7 @@ def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> N
     that they make is smaller than F.
     """
     data = point.data
-    if data.measured_force or not harmonic_fit.residual_tells(point, np.array([hz]))[0]:
+    if data.measured_force or not harmonic_fit.residual_shows_lines(point, np.array([hz]))[0]:
         return np.zeros(F.size, bool)
     angle = order * data.phase if order else 2 * np.pi * hz * data.t
     residual = np.array([harmonic_fit.residual_harmonics(point, i, angle, 1)[0] for i in range(F.size)])

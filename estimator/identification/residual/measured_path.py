@@ -4,7 +4,7 @@ Noise of the motion sensor and forces that nobody measures are independent of th
 residual force R = A a - f that is coherent with f is therefore an error of the tangent A of the fit: that of the path
 is A - <R f*> / <a f*>. A known mass identifies the gain: with gain 1 + error it appears as m / (1 + error). Noise q of
 the force channel gives <R f*> = -<|q|^2> and looks like a gain by its share of the power; no smaller gain is named.
-What neither fault explains is unknown: a pedestal, a resonance of the sensor or a rippled cable bends the path alike.
+An error that neither fault explains is unknown: a pedestal, a sensor resonance and a cable ripple bias it alike.
 
 References
 ----------
@@ -42,13 +42,13 @@ class MeasuredPath:
     w, hz, n : (cells,) float64
         Mean angular frequency, rad/s; width, Hz; independent numbers.
     A, error : (cells,) complex128
-        Tangent of the fit, and what it exceeds that of the path by, kg.
+        Tangent of the fit, and its excess over the tangent of the path, kg.
     per_force : (cells,) float64
         Coherent force per error of the tangent, N/Hz^0.5 per kg.
     rest, force : (cells,) float64
-        PSD of the residual force that is not coherent with the measured one, and of that one.
+        PSD of the residual force that is not coherent with the measured force, and PSD of the measured force.
     noise_share : float
-        Of the residual force, that is noise of the force channel.
+        Share of the residual force that is noise of the force channel.
     """
 
     w: Array
@@ -69,7 +69,7 @@ class MeasuredPath:
 
 @dataclass(frozen=True, slots=True)
 class FaultFit:
-    """The likeliest path with a fault. p : its parameter. sd. nats. left : (cells,) kg, error of the tangent left."""
+    """The likeliest path with a fault. p, sd : parameter. nats. left : (cells,) kg, residual error of the tangent."""
 
     p: float
     sd: float
@@ -140,8 +140,8 @@ def fit_path(r: MeasuredPath, effect: str | None = None, starts: Collection[floa
         odd = error_left(z) * weight
         return np.concatenate([odd.real, odd.imag])
 
-    begun = [np.append(np.zeros(2), start / unit[2:]) for start in starts]
-    best = min((least_squares(residual, z) for z in begun), key=lambda one: float(one.cost))
+    points = [np.append(np.zeros(2), start / unit[2:]) for start in starts]
+    best = min((least_squares(residual, z) for z in points), key=lambda one: float(one.cost))
     J: Array = np.asarray(best.jac, np.float64)
     sd = np.sqrt(np.diag(np.linalg.pinv(J.T @ J))) * unit
     return FaultFit(float(best.x[-1] * unit[-1]), float(sd[-1]), -float(best.cost), error_left(best.x))
@@ -159,7 +159,7 @@ def _tried_faults(point: WorkingPoint, i: int, r: MeasuredPath, names: Collectio
 
 
 def find_path_faults(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Finding]:
-    """Gains and delays of sensors that the model lacks, and bent paths, at the places whose force is measured.
+    """Gains and delays of sensors that the model lacks, and biased paths, at the places whose force is measured.
 
     lines : Hz of periodic forces in the residual, which are left out.
     """
@@ -216,7 +216,7 @@ def _bias_region(r: MeasuredPath, error: Complexes) -> str:
 
 
 def force_noise_ratio(model: Model, point: WorkingPoint) -> dict[str, float]:
-    """Power of the noise of a force channel over that of the force, by place, where it is worth a word.
+    """Power of the noise of a force channel over that of the force, by place, where it biases the damping.
 
     The fit takes the residual force for a force that nobody measures. Noise of the force channel makes c too large by
     this ratio.
@@ -233,7 +233,7 @@ def force_noise_ratio(model: Model, point: WorkingPoint) -> dict[str, float]:
 
 
 def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
-    """The model with gains and delays of sensors one step nearer, and these parameters keyed "location.effect.name".
+    """The model with gains and delays of sensors after one step, and these parameters keyed "location.effect.name".
 
     The record of the point has the faults undone at their present values. Two faults of a sensor take turns.
     """

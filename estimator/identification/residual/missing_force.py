@@ -149,7 +149,7 @@ def negligible_force_share(data: MotionRecord) -> float:
 
 
 def _negligible_power(point: WorkingPoint, i: int) -> float:
-    """Mean square, N^2, of a force at location i that errors of the processing, or of a background, may be."""
+    """Mean square, N^2, of a force at location i that errors of the processing or of a background may cause."""
     least = (negligible_force_share(point.data) * point.bearing_force[i]) ** 2
     if point.data.background is None:
         return float(least)
@@ -162,7 +162,7 @@ def _try_group(
     point: WorkingPoint, i: int, problem: Subproblem, chosen: Sequence[str], name: str,
     names: Mapping[str, tuple[str, ...]], knots: Mapping[str, Array], level: float,
 ) -> TriedGroup:  # fmt: skip
-    """A group beside those chosen. Hat functions of a state are tried free and bound to a polynomial.
+    """A group on trial together with those chosen. Hat functions of a state are tried free and bound to a polynomial.
 
     names : of the regressors, by group. level : log-likelihood of the groups chosen.
     """
@@ -206,7 +206,7 @@ class MissingForce:
         by_state = {r.place: sum(f.gain_nats for f in r.found) for r in self.residuals}
 
         def counts(f: Finding) -> bool:
-            """Whether a finding is one of its own: a missing law shapes the spectrum of the residual force too."""
+            """Whether a finding is distinct from a missing law, which shapes the spectrum of the residual force too."""
             return not is_cause_of_spectrum(f.effect) or all(f.gain_nats > by_state.get(i, 0.0) for i in f.power_N2)
 
         return replace(self, disturbances=tuple(disturbance_forces([f for f in others if counts(f)])))
@@ -274,7 +274,7 @@ def survey(
 def survey_with(
     point: WorkingPoint, model: Model, others: Callable[[], list[Finding]], *more: Callable[[], Any]
 ) -> tuple[MissingForce, list[Finding], *tuple[Any, ...]]:
-    """The missing force on all of the record with the findings of `others`, these findings, and the answers of `more`.
+    """The missing force on all of the record with the findings of `others`, these findings, and the results of `more`.
 
     All are computed by two processes.
     """

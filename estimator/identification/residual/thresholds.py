@@ -63,9 +63,9 @@ class Thresholds:
     max_fault_p_value: float = 1e-2  # of a finding
     # of the coherent power, for a fault: it leaves at most a fifth of what it explains
     min_explained_share: float = 0.8
-    min_bias_sd: float = 8.0  # of the coherent power, for a path that is bent by an unknown cause
+    min_bias_sd: float = 8.0  # of the coherent power, for a path that is biased by an unknown cause
     min_force_noise_ratio: float = 2e-3  # of powers, noise of a channel over force: less moves c by less than its sd
-    min_gain_error_rel: float = 2e-3  # of a gain: less is within any calibration and weighing of a cap
+    min_gain_error_rel: float = 2e-3  # of a gain: less is within the accuracy of calibrations and cap masses
     min_gain_over_noise: float = 2.0  # of a gain error over the share of noise that the force channel may have
     delay_starts_samples: tuple[float, ...] = (0.0, -3.0, -1.0, 1.0, 3.0)  # from which searches start
     gain_starts_rel: tuple[float, float] = (0.0, -2.0)  # an inverted sensor has the error -2
