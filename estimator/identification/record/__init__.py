@@ -1,4 +1,4 @@
-"""Is this record fit to be judged? Levels of the channels, and faults that need no model of the rig."""
+"""Whether a record is fit to be judged: levels of the channels, and faults that need no model of the rig."""
 
 from .channel_summary import moments
 from .clipping import clipping_level, pileup_p_value

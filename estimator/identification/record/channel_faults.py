@@ -46,7 +46,7 @@ class ChannelRecord:
 
     @cached_property
     def summary(self) -> ChannelSummary:
-        """What the user is told of the channel."""
+        """The summary of the channel for the user."""
         return summarise(self.y, self.channel.kind, self.rate_hz, self.reach_hz, self.moments)
 
     @cached_property
@@ -75,7 +75,7 @@ class ChannelRecord:
 
 
 def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFinding]:
-    """Findings on one channel. A dead, frozen or coarse channel has no other one.
+    """Findings on one channel. A dead, frozen or coarse channel has no other finding.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def find_channel_faults(record: ChannelRecord, absurd: int = 0) -> list[RecordFi
 
 
 def _dead(record: ChannelRecord) -> RecordFinding | None:
-    """A channel without samples, or of one value."""
+    """A channel without samples, or with a single value."""
     if record.moments.count < 2:
         return record.finding(
             "empty_channel", "has no valid samples: check its cable and its signal in the rig file", usable=False
@@ -120,7 +120,7 @@ def _dead(record: ChannelRecord) -> RecordFinding | None:
 
 
 def _frozen(record: ChannelRecord) -> RecordFinding | None:
-    """Stretches in which the channel stands still much longer than its own motion lets it."""
+    """Stretches in which the channel stands still much longer than its usual motion allows."""
     y = record.y
     runs = true_runs(y[1:] == y[:-1]) + [0, 1]
     runs = runs[runs[:, 1] - runs[:, 0] >= RECORD_LIMITS.min_frozen_samples]
@@ -233,7 +233,7 @@ def _offset(record: ChannelRecord) -> RecordFinding | None:
 
 
 def _wrong_unit(record: ChannelRecord) -> RecordFinding | None:
-    """Values that no machine has. The median absolute deviation is asked where spikes would make the rms."""
+    """Values that no machine has, by the rms, or by the median absolute deviation where spikes make up the rms."""
     kind, sd = record.channel.kind, record.moments.sd
     size = min(sd, 3.0 * record.robust[1]) if record.robust[1] > 0.0 else sd
     what = ""
@@ -273,7 +273,7 @@ def _acceleration_of(record: ChannelRecord) -> float:
 
 
 def _repeated(record: ChannelRecord) -> RecordFinding | None:
-    """Samples that repeat the one before more often than quantisation makes them."""
+    """Samples that repeat the previous sample more often than quantisation explains."""
     part = record.y[: 1 << 18]
     inner = (part > record.moments.low) & (part < record.moments.high)  # a clipped channel repeats its rails
     step = np.abs(np.diff(np.where(inner, part, np.nan)))

@@ -133,7 +133,7 @@ def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]
     where the residual of the first samples alone is more than the share of a copy of the whole power.
     """
     total, products, means = 0, np.zeros((2, 2)), np.zeros(2)
-    whole, most = b.moments.count * (b.moments.sd / _scale(b)) ** 2, RECORD_LIMITS.max_copy_residual_share
+    whole, max_share = b.moments.count * (b.moments.sd / _scale(b)) ** 2, RECORD_LIMITS.max_copy_residual_share
     for p, q in _common_pieces(a, b):
         total += p.size
         pieces = np.stack([p, q])
@@ -141,7 +141,7 @@ def _residual_of_copy(a: ChannelRecord, b: ChannelRecord) -> tuple[float, float]
         products += (pieces - own[:, None]) @ (pieces - own[:, None]).T
         products += np.outer(own - means, own - means) * p.size * (1.0 - weight)
         means += (own - means) * weight
-        if products[1, 1] - products[0, 1] ** 2 / max(products[0, 0], 1e-300) > (most + 1e-9) * whole:
+        if products[1, 1] - products[0, 1] ** 2 / max(products[0, 0], 1e-300) > (max_share + 1e-9) * whole:
             return 1.0, 0.0  # more samples only add to a residual
     (pp, pq), (_, qq) = products
     if total < 64 or not pp * qq > 0.0:
@@ -220,8 +220,8 @@ def _level_steps(records: Sequence[ChannelRecord]) -> list[RecordFinding]:
         if not there.size or np.ptp(there) <= RECORD_LIMITS.min_level_step_db:
             continue
         at, step = _largest_step(relative)
-        rest = np.array([_step_at(o, at) for o in others])
-        if abs(step) > RECORD_LIMITS.min_level_step_db and np.all(np.abs(rest) < 0.25 * abs(step)):
+        steps_of_others = np.array([_step_at(o, at) for o in others])
+        if abs(step) > RECORD_LIMITS.min_level_step_db and np.all(np.abs(steps_of_others) < 0.25 * abs(step)):
             word, cause = ("drops", "a loose sensor or cable") if step < 0.0 else ("rises", "a loose contact")
             name, time = record.channel.name, at * size / record.rate_hz
             text = f"{name} {word} by {abs(step):.0f} dB at {time:.3g} s and the other channels do not: {cause}?"
@@ -257,7 +257,7 @@ def _largest_step(level: Array) -> tuple[int, float]:
 
 
 def _step_at(level: Array, at: int) -> float:
-    """Median after a piece less the one before it, if nearly all pieces of either side lie on its own side."""
+    """Median after a piece less the median before it, if nearly all pieces lie on the side of the nearer median."""
     before, after = level[:at][np.isfinite(level[:at])], level[at:][np.isfinite(level[at:])]
     if before.size < 3 or after.size < 3:
         return 0.0

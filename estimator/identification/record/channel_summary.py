@@ -17,7 +17,7 @@ from .thresholds import PIECE_ROWS, RECORD_LIMITS
 
 
 def longest_run(there: NDArray[np.bool_]) -> int:
-    """Rows of the longest stretch of samples that are there. there : (n,)."""
+    """Rows of the longest stretch of samples that are present. there : (n,)."""
     return int(np.diff(true_runs(there)).max(initial=0))
 
 
@@ -90,7 +90,7 @@ def power_spectrum(
 
 
 def usable_hz(recorder: AntiAlias | None, rate_hz: float) -> float:
-    """Frequency in Hz up to which a level is known: the filter passes 80 % of it, and nothing is folded in.
+    """Frequency in Hz up to which a level is known: the filter passes 80 % of it, and nothing is aliased.
 
     recorder : the filter of the rig file. None: not known, and the rate over 2.56 is taken.
     """
@@ -102,7 +102,7 @@ def usable_hz(recorder: AntiAlias | None, rate_hz: float) -> float:
 
 
 def velocity_rms(y: Array, kind: str, rate_hz: float, reach_hz: float, scale: float = 1.0) -> float | None:
-    """Velocity from 10 to 1000 Hz in m/s rms; None where `ChannelSummary` says so.
+    """Velocity from 10 to 1000 Hz in m/s rms; None for other kinds, and for too short or too narrow records.
 
     y : (n,) m/s^2 or m/s. reach_hz : up to which a level is known. scale : size of the samples: powers of numbers about
     1 neither overflow nor vanish.

@@ -1,4 +1,4 @@
-"""What the record layer answers: a summary of every channel, and findings on channels."""
+"""Results of the record layer: a summary of every channel, and findings on channels."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def robust_scale(y: Array) -> tuple[float, float]:
 
 
 def surely_without_spikes(y: Array) -> NDArray[np.bool_]:
-    """(channels,) whether a short channel reaches not half of the limit of a spike, by the scale of a few samples.
+    """(channels,) whether a short channel stays below half of the limit of a spike, by the scale of a few samples.
 
     Medians of all samples would be a third of the cost of a live estimate. y : (n, channels).
     """

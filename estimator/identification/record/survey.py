@@ -77,7 +77,7 @@ def _surveyed(
 
 
 def _missing(channels: tuple[Channel, ...], y: Array, rate_hz: float, still: set[str]) -> list[RecordFinding]:
-    """Missing samples: of one channel, and of all. Many short records in one have few between them."""
+    """Findings on missing samples, of one channel and of all. Joined short records have few missing between them."""
     moving = [k for k, channel in enumerate(channels) if channel.name not in still]
     if not moving or not len(y):
         return []

@@ -22,7 +22,7 @@ from .thresholds import RECORD_LIMITS
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UsableRecord:
-    """What is left of a record for the judgement of the bearings.
+    """The usable part of a record for the judgement of the bearings.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
     parameters = _clipping_levels(model, y)
     if len(kept) == len(model.channels):
         return UsableRecord(model=replace(model, effects=plain), y=y, messages=messages, parameters=parameters)
-    left = replace(model, channels=tuple(model.channels[k] for k in kept))
-    lost = [p for p in model.places if p not in left.places]
-    if not left.places and lost:
+    usable = replace(model, channels=tuple(model.channels[k] for k in kept))
+    lost = [p for p in model.places if p not in usable.places]
+    if not usable.places and lost:
         raise DataError(next(f.text for f in survey.findings if f.condemned))
     reasons = {place: _reason(survey, place) for place in lost}
     parameters |= {
@@ -82,7 +82,7 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
     }
     effects = []
     for use in plain:
-        here = {at: own for at, own in use.parameters.items() if _is_measured(at, left)}
+        here = {at: own for at, own in use.parameters.items() if _is_measured(at, usable)}
         for at in use.parameters.keys() - here.keys():
             place = next(p for p in lost if p.startswith(at))
             for q in effect_of(use).parameters:
@@ -92,7 +92,7 @@ def usable_record(model: Model, y: Array, survey: RecordSurvey) -> UsableRecord:
         if here:
             effects.append(EffectUse(use.name, here, use.custom))
     return UsableRecord(
-        model=replace(left, effects=tuple(effects)), y=y[:, kept], messages=messages, parameters=parameters
+        model=replace(usable, effects=tuple(effects)), y=y[:, kept], messages=messages, parameters=parameters
     )
 
 

@@ -30,7 +30,7 @@ class ZoneLimits:
     displacement_um: tuple[float, ...] = ()
 
 
-# By what tells the machines of a part apart. Part 3: ISO 20816-3:2022, annex A (the values of ISO 10816-3:2009).
+# By the part and the keys of its machine classes. Part 3: ISO 20816-3:2022, annex A (the values of ISO 10816-3:2009).
 # Part 7: ISO 10816-7:2009, as the public summaries of DIN ISO 10816-7 have it; True: above 200 kW.
 # Part 1: ISO 10816-1:1995, annex B (of ISO 2372), as in the manuals of vibration meters (Voltcraft VBM-100, page 15).
 ZONE_LIMITS: Mapping[tuple[Any, ...], ZoneLimits] = MappingProxyType(
@@ -52,7 +52,7 @@ ZONE_LIMITS: Mapping[tuple[Any, ...], ZoneLimits] = MappingProxyType(
 
 
 def zone_limits(machine: MachineClass) -> ZoneLimits:
-    """Where the zones of such a machine begin.
+    """Limits of the zones of a class of machines.
 
     Parameters
     ----------
