@@ -199,6 +199,6 @@ def clear_peaks(table: LineTable, low_hz: float, high_hz: float, most: int) -> A
 
 
 def clearest(combs: Sequence[Comb | None]) -> Comb | None:
-    """The comb of the lowest chance; of several as sure, the one with the most nats."""
+    """The comb of the lowest chance; of several of equal chance, the one with the most nats."""
     found = [c for c in combs if c is not None]
     return min(found, key=lambda c: c.log_p - 1e-4 * c.nats) if found else None

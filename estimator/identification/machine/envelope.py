@@ -170,7 +170,7 @@ def _transform_size(band: int, bins: int) -> int:
 
 
 def _before(lags: NDArray[Any]) -> NDArray[Any]:
-    """(..., k) values one lag before each, of a function of the lag that is conjugate-even about 0."""
+    """(..., k) values of a function of the lag, conjugate-even about 0, at one lag before each."""
     return np.concatenate([lags[..., 1:2].conj(), lags[..., :-1]], axis=-1)
 
 

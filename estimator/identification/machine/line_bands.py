@@ -15,7 +15,7 @@ from .tones import joined_bands, lines_to_leave_out, significant_lines
 def with_lines_left_out(model: Model, y: Array, rate_hz: float) -> Model:
     """The model that leaves the lines of a record out of the force balance.
 
-    A line is no force of a state, and a random excitation tells nothing about it. The lines of the model's own periodic
+    A line is no force of a state, and a random excitation does not predict it. The lines of the model's own periodic
     forces stay. All lines stay where a force is measured, as that may have them too, and where the model has a periodic
     force of unknown frequency, as a line may be that force.
 

@@ -1,4 +1,4 @@
-"""What the machine layer says of a record: speed of the shaft, tones, strike trains, remarks."""
+"""Result of the machine layer of a record: speed of the shaft, tones, strike trains, remarks."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class StrikeTrain:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineSurvey:
-    """What turns, hums and strikes in a record.
+    """Shaft speed, tones and strike trains of a record.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def tacho_angle(model: Model, y: Array, rate_hz: float) -> Array | None:
 def rate_remarks(
     lines: Sequence[Line], speed: ShaftSpeed, given_rpm: float | None, remarks: list[Message]
 ) -> list[Message]:
-    """Remarks on the speed with what the lines of the mains say of the rate: it moves shaft and mains alike."""
+    """Remarks on the speed, and on the rate by the lines of the mains: a wrong rate scales shaft and mains alike."""
     if speed.source != RECORD_SOURCE or not given_rpm:
         return remarks
     ratio = speed.value_rpm / given_rpm

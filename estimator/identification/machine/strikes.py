@@ -63,7 +63,7 @@ class Verdict:
 
 @dataclass(slots=True, kw_only=True)
 class _ChannelSearch:
-    """What the tables of one channel hold.
+    """The clearest combs of one channel.
 
     tables : number of tables. named : the clearest comb of each kinematic hypothesis. free : that at any order.
     """
@@ -74,7 +74,7 @@ class _ChannelSearch:
 
 
 def kinematics_of(model: Model) -> list[Kinematic]:
-    """What each defect of the rig's bearing would show; empty without geometry or a given ball-pass order."""
+    """Kinematic hypotheses of the defects of the rig's bearing; empty without geometry or a given ball-pass order."""
     if model.bearing is None:
         return [Kinematic(name="BPFO", order=model.ball_pass_order)] if model.ball_pass_order else []
     own = kinematics(model.bearing)
@@ -183,7 +183,7 @@ def _named(found: Iterable[_ChannelSearch], kinds: Sequence[Kinematic]) -> list[
 
 
 def _is_whole(v: Verdict, speed: ShaftSpeed) -> bool:
-    """Whether a comb has its first harmonic, and that within the slip.
+    """Whether a comb has its first harmonic, and its fundamental lies within the slip.
 
     Where another cause has a line at the first harmonic, an odd one shows that the fundamental is not twice as high.
     """
@@ -251,7 +251,7 @@ def _free_comb(table: LineTable, speed: ShaftSpeed | None) -> Comb | None:
 def _reported(
     ranked: Sequence[tuple[Verdict, float]], speed: ShaftSpeed | None, log_paid: float
 ) -> tuple[list[StrikeTrain], list[Message]]:
-    """The train of the likeliest hypothesis, and what else it may be. ranked : hypotheses with their shares."""
+    """The train of the likeliest hypothesis, and a remark on its rivals. ranked : hypotheses with their shares."""
     first, share = ranked[0]
     hz = refined_fundamental(first.comb)
     numbers, depths = clear_harmonics(first.comb)

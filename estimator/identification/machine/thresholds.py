@@ -85,7 +85,7 @@ class Thresholds:
     min_free_distance_rel: float = 0.03  # of a free train from a whole shaft order: a speed that wanders spreads these
     # of the strongest higher harmonic over the first: ringing strikes have over a half
     min_strike_harmonic_rel: float = 0.25
-    separation_share: float = 0.6  # of what the likeliest name explains, above which another name is not told from it
+    separation_share: float = 0.6  # of the power that the likeliest name explains, above which another is a rival
 
     # survey
     max_tones_shown: int = 10  # on the screen, orders 1 and 2 among them

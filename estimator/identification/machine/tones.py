@@ -1,4 +1,4 @@
-"""Narrow lines of the measured spectra: what they are, how large they are, how sure they are."""
+"""Narrow lines of the measured spectra: kind, amplitude and significance."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Line:
 def lines_to_leave_out(
     lines: Sequence[Line], band: tuple[float, float], speed: ShaftSpeed | None = None
 ) -> list[Line]:  # fmt: skip
-    """Lines that no force balance in a band judges: no resonances, beside the band any, harmonics of shaft and mains.
+    """Lines to leave out of a force balance: too narrow for a resonance, beside the band, or of shaft and mains.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
 
 
 def significant_lines(spectra: Mapping[str, Sequence[LevelSpectrum]]) -> list[Line]:
-    """Lines of all channels, clearest first; of what several resolutions show, the clearest.
+    """Lines of all channels, clearest first; of a line that several resolutions show, the clearest.
 
     spectra : channel -> its spectra.
     """
@@ -136,7 +136,7 @@ def _lines_of(channel: str, level: LevelSpectrum, log_searched: float) -> list[L
 
 
 def _resolved(lines: Iterable[Line]) -> list[Line]:
-    """Lines of one channel without those that a clearer one stands for, each where the finest resolution has it."""
+    """Lines of one channel without duplicates of a clearer line, each at the frequency of the finest resolution."""
     groups: list[list[Line]] = []
     for line in sorted(lines, key=lambda line: line.log_p):
         near = (g for g in groups if abs(line.hz - g[0].hz) <= 2.0 * max(line.half_width_hz, g[0].half_width_hz))
@@ -264,7 +264,7 @@ def is_mains_multiple(hz: float, mains_hz: float, resolution_hz: float = 0.0) ->
 
 
 def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
-    """The grid whose multiples stand in the record at a ratio to where they belong, Hz; None if one stands there too.
+    """The grid, Hz, whose multiples are in the record scaled by a ratio; None if one is there unscaled too.
 
     The first or the second multiple has to stand at the ratio.
     """
@@ -287,7 +287,7 @@ def _multiples(lines: Sequence[Line], hz: float) -> set[int]:
 
 
 def shown_mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
-    """The grid of whose multiples the record shows more, Hz; None without any that is no order of the shaft."""
+    """The grid, Hz, with more multiples in the record; None without a multiple that is no order of the shaft."""
     free = [line for line in lines if not shaft_order(line, speed)]
     evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in LIMITS.mains_hz])
     return LIMITS.mains_hz[int(np.argmax(evidence))] if evidence.any() else None
