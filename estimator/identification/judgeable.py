@@ -1,4 +1,4 @@
-"""The layers before any fit of a model, and what they leave of a record for the judgement of the bearings."""
+"""The layers before any fit of a model, and the part of a record that they leave for the judgement of bearings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NO_BEARING_MODE = "no_bearing_mode"  # code: no mode of a place can be the beari
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layers:
-    """What a record shows without a fit of the bearings.
+    """The layers of a record that need no fit of the bearings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The search for findings: every detector in turn, on a record and its working point."""
+"""The search for findings: every detector, one after another, on a record and its working point."""
 
 from __future__ import annotations
 

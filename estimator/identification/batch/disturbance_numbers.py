@@ -64,7 +64,7 @@ def _has_force(use: EffectUse, model: Model) -> bool:
 
 
 def is_undone_as_given(use: EffectUse, model: Model) -> bool:
-    """Whether an effect is the response of a sensor that is undone at the values of the rig file, before any fit."""
+    """Whether an effect is a sensor response that is inverted at the values of the rig file, before any fit."""
     if use.name not in RESPONSE_EFFECTS or not _has_force(use, model):
         return use.name in GAIN_AND_DELAY
     names = [q.name for q in NAMED[use.name].parameters]

@@ -140,7 +140,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
 
 
 def _with_background(full: FullFit, model: Model, y: Array, rate_hz: float) -> FullFit:
-    """The fit of a model with a background; the fit without it where the other one does not come to rest."""
+    """The fit of a model with a background; the fit without it where the fit with it does not converge."""
     try:
         return _fit_with_stiffness_order(model, y, rate_hz)
     except (np.linalg.LinAlgError, NotFiniteError):
@@ -152,7 +152,7 @@ def _background_messages(model: Model) -> tuple[Message, ...]:
     at = {} if model.background is None else model.background.at
     modes = {place: ", ".join(f"{m.frequency_hz:.0f}" for m in own.modes) for place, own in at.items() if own.modes}
     swing = {place: 10.0 * float(np.log10(own.psd_rel.max() / own.psd_rel.min())) for place, own in at.items()}
-    uneven = {place: db for place, db in swing.items() if db > LIMITS.min_told_swing_db}
+    uneven = {place: db for place, db in swing.items() if db > LIMITS.min_reported_swing_db}
     out = []
     if modes:
         listed = "; ".join(f"{place} {hz} Hz" for place, hz in modes.items())

@@ -1,8 +1,8 @@
 """Whether the bearings deflect at the narrow lines of a record.
 
 A law acts on the deflection of its bearing. A periodic force deflects a bearing. Hum of a sensor does not, nor does
-motion of the whole machine, and both are large in a displacement at a low frequency. The line itself does not tell one
-from the other. A law does: it predicts more along the motion that its bearing has.
+motion of the whole machine, and both are large in a displacement at a low frequency. The line itself does not show
+which it is. A law does: it predicts more along the motion that its bearing has.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Cap masses that the coupling of the caps through a known shaft gives, by the spectra of the caps with a background.
 
-One cap alone has no scale: a heavier cap on a stiffer bearing under a larger force moves alike. The motion of one cap
+One cap alone has no scale: a heavier cap on a stiffer bearing under a larger force moves equally. The motion of one cap
 moves the other one through a shaft of known stiffness, a light cap more than a heavy one. The masses are parameters of
 the joint spectrum (`joint_spectrum`). What the spectra leave unexplained counts in their standard deviations.
 """
@@ -107,7 +107,7 @@ def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> Sol
 
 
 def _started(model: Model, problem: JointSpectrum, apart: WorkingPoint, share: float) -> JointPoint | None:
-    """The point from unknown masses of a share of the disc; None where that explains nothing."""
+    """The point from start masses that are a share of the disc mass; None where the model is not positive there."""
     values = start_values(problem, apart)
     loose = list(problem.loose)
     heavier = np.log(share * model.mass["disc"] / problem.mass[loose])

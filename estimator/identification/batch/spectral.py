@@ -1,4 +1,4 @@
-"""Parameters by the spectral path likelihood, the default method of a fit: the full fit, and what to say beside it."""
+"""Parameters by the spectral path likelihood, the default method of a fit: the full fit, with its messages."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ class Thresholds:
     # full_fit
     # of kL, rms of the tangent of laws beside hysteresis: below it the second order is 1e-2
     max_tangent_sd_rel: float = 0.1
-    min_told_swing_db: float = 1.0  # of the spectrum of the force along the band: instruments have +-10 %
+    min_reported_swing_db: float = 1.0  # of the spectrum of the force along the band: instruments have +-10 %
     max_speed_change_rel: float = 0.02  # along a record: an imbalance changes by twice that
     speed_pieces: int = 16  # of a record, for the speed along it
     resolving_rounds: int = 2  # fits of the laws and the disturbances in turn: each depends a little on the other

@@ -113,15 +113,15 @@ def _ratios_only_message(place: str, mass: float, found: Mapping[str, Parameter]
 
     mass : kg, at any scale, of the fit. found : parameters of that fit by full name.
     """
-    own = {name.removeprefix(f"{place}."): q for name, q in found.items() if name.startswith(f"{place}.")}
-    kL = own["kL"]
+    at_place = {name.removeprefix(f"{place}."): q for name, q in found.items() if name.startswith(f"{place}.")}
+    kL = at_place["kL"]
     hz = np.sqrt((kL.value or 0.0) / mass) / (2 * np.pi)
     said = [f"resonance {_with_sd(hz, 0.5 * _sd_rel(kL))} Hz", "damping not told from zero"]
-    c = own["c"]
+    c = at_place["c"]
     if c.identifiable and c.value is not None and c.value > 0.0:
         zeta = 100 * c.value / (4 * np.pi * hz * mass)
         said[1] = f"damping {_with_sd(zeta, _sd_rel(c))} % of critical"
-    for name, q in own.items():
+    for name, q in at_place.items():
         if "." in name and q.identifiable and q.value and kL.value and q.unit.startswith("N"):
             sd_rel = float(np.hypot(_sd_rel(q), _sd_rel(kL)))
             said.append(f"{name}/kL {_with_sd(q.value / kL.value, sd_rel)} ({q.unit})/(N/m)")

@@ -1,4 +1,4 @@
-"""A shaft with bearings that are not measured: their motion acts on the measured ones through the shaft, unknown."""
+"""A shaft with bearings that are not measured: their unknown motion acts on the measured ones through the shaft."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far up a record can be trusted: a filter that the rig file does not describe, or what sampling folds back."""
+"""Upper edge of the trusted band: a filter that the rig file does not describe, or aliased components."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def upper_edge_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...
 
 
 def aliasing_message(model: Model, rate_hz: float) -> tuple[Message, ...]:
-    """A message if the filter of the rig file lets what is above half the rate into the band."""
+    """A message if the filter of the rig file lets components above half the rate alias into the band."""
     trusted = np.inf if model.anti_alias is None else model.anti_alias.trusted_to_hz(rate_hz)
     if trusted >= model.band[1]:
         return ()
@@ -79,7 +79,7 @@ def _fitted(point: WorkingPoint, i: int) -> Array:
 
 
 def common_fall_db(ratio: Array, f_hz: Array, count: Array, from_hz: float) -> tuple[Array, Array] | None:
-    """Frequencies above all resonances, Hz, and the fall there that all places have in common, dB; None without one.
+    """Frequencies above all resonances, Hz, and the roll-off there that all places share, dB; None without one.
 
     ratio : (places, cells) power of the residual force over the model's. f_hz, count : (cells,) mean frequency and
     number of independent values. from_hz : where the laws end to shape the force.

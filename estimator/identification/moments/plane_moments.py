@@ -98,8 +98,8 @@ class PlaneMoments:
 
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by full name, each with its standard deviation or the reason why it is not identifiable."""
-        if untold := self.still() if self.moments.rows > 0 else "no valid sample yet":
-            return self.plane.undetermined(untold)
+        if reason := self.still() if self.moments.rows > 0 else "no valid sample yet":
+            return self.plane.undetermined(reason)
         try:
             values, covariance = self.values()
         except np.linalg.LinAlgError:
@@ -114,7 +114,7 @@ class PlaneMoments:
         return dict(zip(self.names, values.tolist(), strict=True)), covariance
 
     def still(self) -> str:
-        """What to say of a cap that does not move; "" where all move."""
+        """Reason, as text, of a cap that does not move; "" where all move."""
         mean = self.moments.mean
         for cap, at in zip(self.plane.caps, self._slices, strict=True):
             if not mean[at.start] > 0.0:

@@ -177,7 +177,7 @@ def density_fit(
     model: Model, y: Array, rate_hz: float, method: str,
     parameters: Callable[[Plane, Array, Array], tuple[dict[str, Parameter], list[Message]]],
 ) -> Fit:  # fmt: skip
-    """The fit of a record by the stationary density, direction by direction, with what to say of it.
+    """The fit of a record by the stationary density, direction by direction, with its messages.
 
     parameters : of a plane, from its displacements and velocities (n, caps), m and m/s, and messages.
     """
@@ -187,8 +187,8 @@ def density_fit(
     for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
         here, speed = (z[valid][:, columns] for z in (x, v))
-        own, said = parameters(plane, here, speed)
-        found |= own
+        fitted, said = parameters(plane, here, speed)
+        found |= fitted
         notes += density_messages(plane, here, speed) + softening_message(plane, found, speed) + said
     for k, place in enumerate(model.places):
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
