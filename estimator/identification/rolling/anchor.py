@@ -106,7 +106,7 @@ class Anchor:
         return out if background is None else out * background.deflections(self.data.places, self.s).T
 
     def problem(self, mean_tangent: Array, tangents: Array, share: Array) -> tuple[Jacobian, Complexes]:
-        """The determinant where the mean tangents are others than at the anchor, and the responses of the regressors.
+        """The determinant at mean tangents other than those of the anchor, and the responses of the regressors.
 
         mean_tangent : (places, places, 2). tangents : (m, places, places, 2) of the first m names, scaled. share :
         (bins,) of each bin.
@@ -173,8 +173,8 @@ def _candidate_regressors(point: WorkingPoint, watched: Sequence[LocatedLaw]) ->
 
 
 def _nodes(point: WorkingPoint) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First bin and middle bin of groups of bins: small where the determinant is steep, and of one where its line bends
-    off the imaginary axis or back."""
+    """First bin and middle bin of groups of bins: small where the determinant is steep, and of one bin where its line
+    leaves the imaginary axis or returns."""
     data, f, real = point.data, point.data.f_hz, point.whitening.s.real[:, None]
     w, spacing = 2 * np.pi * f, data.rate_hz / data.block
     stiffness = np.einsum("iik->ik", point.mean_tangent)[:, 0]

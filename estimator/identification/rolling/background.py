@@ -1,7 +1,7 @@
 """Structural modes and the spectrum of the force, sought while samples arrive where the residual force is not white.
 
-A support and a part on the cap look alike, and kL depends on which it is. Where a record does not tell, chance decides:
-then parts of the record differ. They are searched as they come, one at a time.
+A support and a part on the cap look alike, and kL depends on which it is. Where a record is vague, chance decides:
+then parts of the record differ. The parts are searched one at a time while samples arrive.
 
 A search may take a share of the time of a core. Its cost is counted in samples and derivatives, never by a clock: so a
 replay searches what the live session searched. A search that costs more is given up, and the next one is due when twice
@@ -53,7 +53,7 @@ def in_line(search: Search) -> Search:
 
 
 class BackgroundSearch:
-    """When to look for a background, and what has been found. rows : that it needs; 0 where they would be too many.
+    """Schedule and results of searches for a background. rows : that a search needs; 0 where these would be too many.
 
     run : how a search is run. Its result is asked for at a fixed row later, however long it takes.
     """
@@ -65,13 +65,13 @@ class BackgroundSearch:
         self._rate_hz, self._channels, self._block, self._run = rate_hz, channels, block, run
         self._next = self._part = rows // LIMITS.background_parts
         self._parts: list[Mapping[str, float]] = []  # stiffness by place, of the parts that show a background
-        self._search: Search | None = None  # that has begun
-        self._work = Work()  # of the search that has begun
+        self._search: Search | None = None  # that is running
+        self._work = Work()  # of the search that is running
         self._work_s, self._spent_s = LIMITS.first_work_s, 0.0  # of a core, for the next search, and so far
 
     @property
     def _whole(self) -> bool:
-        """Whether the whole is searched next: its parts agree."""
+        """Whether all rows are searched next, as their parts agree."""
         return len(self._parts) == LIMITS.background_parts
 
     @property
@@ -81,17 +81,17 @@ class BackgroundSearch:
         return rows * self._channels / per_s
 
     def _allowed_s(self, seen: int) -> float:
-        """Time of a core for the work of the next search beside its samples, after so many rows, s."""
+        """Time of a core for the work of the next search beside its samples, s. seen : rows so far."""
         return min(LIMITS.max_core_share * seen / self._rate_hz - self._spent_s - self._samples_s, LIMITS.max_work_s)
 
     def is_due(self, seen: int, coloured: Callable[[], bool]) -> bool:
-        """Whether to go on after so many rows. coloured : whether the residual force is not white."""
+        """Whether a step is due. seen : rows so far. coloured : whether the residual force is not white."""
         if self.rows == 0 or seen < self._next:
             return False
         return self._search is not None or (self._allowed_s(seen) >= self._work_s and coloured())
 
     def step(self, seen: int, first: FirstFit, lines: Model, blocks: Sequence[Array]) -> FirstFit | None:
-        """Begin a search, or end one: a fit with another background than the known one, once it is sure.
+        """Begin a search, or end one; the fit with a new background once that is certain, else None.
 
         seen : rows so far. first : the fit so far. lines : as of `first_fit`. blocks : the last rows (n, channels)
         each, SI.
@@ -109,7 +109,7 @@ class BackgroundSearch:
         return None
 
     def _end(self, seen: int, found: FoundBackground | None) -> FirstFit | None:
-        """End a search."""
+        """End a search; the fit with a new background once that is certain, else None."""
         self._search, work_s = None, min(self._work.done, self._work.limit) / LIMITS.derivatives_per_s
         self._spent_s += self._samples_s + work_s
         self._work_s = 1.5 * work_s

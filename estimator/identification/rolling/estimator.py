@@ -176,7 +176,7 @@ class RollingEstimator:
         return replace(estimate, index=self._seen, extra=extra)
 
     def _warming_up(self) -> Estimate:
-        """No parameters: how much of what the first fit needs is there."""
+        """The estimate before the first fit: no parameters, and the progress of the samples that the fit needs."""
         needed = -(-(self._wanted + self._filter.half) // self._piece) * self._piece + self._job_rows
         seen_s, needed_s, low = self._seen / self.rate_hz, needed / self.rate_hz, self.model.band[0]
         status = f"warming up: {seen_s:.3g} of {needed_s:.3g} s"
@@ -201,13 +201,13 @@ class RollingEstimator:
             self._jobs.append(self._start)
 
     def _is_due_to_start(self) -> bool:
-        """Whether the first seconds are there, and an estimate has just been due: the next one waits least then."""
+        """Whether the first seconds are complete, just after an estimate was due: the next one waits least."""
         if not self._kept or self._seen % self._piece:
             return False
         return self._end - self._kept[0].start >= self._wanted and self._end >= self._retry_at
 
     def _do_job(self) -> None:
-        """Do the next thing that no estimate waits for."""
+        """Do the next job, for which no estimate waits."""
         try:
             self._jobs.pop(0)()
         except (NotFiniteError, np.linalg.LinAlgError) as error:
@@ -221,7 +221,7 @@ class RollingEstimator:
                 self._spikes += rows.size
 
     def _trim(self) -> None:
-        """Drop what no later piece and no new start needs."""
+        """Drop the samples and the motion that no later piece and no new start needs."""
         keep = max(self._wanted, self._background.rows) // self._block
         del self._rows[:-keep]
         needed = self._end - self._wanted
@@ -233,7 +233,7 @@ class RollingEstimator:
 
     @property
     def _end(self) -> int:
-        """Row behind the motion that is known."""
+        """Row after the last one whose motion is known."""
         return self._kept[-1].start + self._kept[-1].rows
 
     def _show_nothing(self, status: str) -> None:
@@ -281,11 +281,11 @@ class RollingEstimator:
 
     def _advance(self, follower: Follower) -> None:
         """Take the pieces of motion that are complete, and renew the estimate."""
-        begun = self._next
+        first = self._next
         while self._next + self._piece + self._margin <= self._end:
             self._fault = self._take_piece(follower, self._next) or self._fault
             self._next += self._piece
-        if self._next > begun:
+        if self._next > first:
             self._renew(follower)
 
     def _take_piece(self, follower: Follower, first: int) -> str:
@@ -347,7 +347,7 @@ class RollingEstimator:
             self._jobs.append(partial(self._look_for_missing, follower))
 
     def _show(self, follower: Follower) -> None:
-        """Make the maximum on the memory the estimate."""
+        """Set the estimate to the maximum on the memory."""
         shown = self._scope.shown(judged_parameters(follower, self._first))
         samples = follower.slow.n**2 / follower.slow.n2 * self._block
         likelihood = follower.fit.log_likelihood if follower.fit is not None else None
@@ -356,12 +356,12 @@ class RollingEstimator:
             self._jobs.append(self._look_for_background)
 
     def _extra(self) -> dict[str, float] | None:
-        """What is said beside the parameters."""
+        """The `extra` of an estimate, beside its parameters."""
         found = {BACKGROUND_KEY: self._background_s} if self._background_s else {}
         return {**(self._missing or {}), **found} or None
 
     def _look_for_missing(self, follower: Follower) -> None:
-        """Renew what is said of missing force."""
+        """Renew the estimate of the missing force."""
         self._missing = missing_force(follower)
         if self._estimate is not None and self._estimate.parameters:
             self._estimate = replace(self._estimate, extra=self._extra())

@@ -103,7 +103,7 @@ class Follower:
         self._solutions += 1
 
     def _renew(self) -> None:
-        """Make the maximum on the slow memory the estimate: by one Newton step, or by several if that is long."""
+        """Set the estimate to the maximum on the slow memory, by one Newton step, or by several if the step is long."""
         anchor = self.anchor
         gram, jacobian, blocks = problem_of(anchor, self.slow, anchor.own)
         steps = LIMITS.max_steps if self.fit is None else 1
@@ -141,8 +141,8 @@ class Follower:
         return self._maximum().S
 
     def excess_power(self) -> list[tuple[float, float]]:
-        """For every place what the power of the residual force has more than the model in the cell that stands out
-        most, relative, and its frequency, Hz; 0 where none does."""
+        """Relative excess of the power of the residual force over the model in the most significant cell, and the
+        frequency of the cell, Hz, by place; 0 where no cell is significant."""
         if self._excess is None:
             self._excess = excess_power(self.anchor, self.slow, self.delta)
         return self._excess

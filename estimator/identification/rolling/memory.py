@@ -90,7 +90,7 @@ class Memory:
             self.level, self.level2 = self.level * level, self.level2 * level**2
 
     def copy_from(self, other: Memory) -> None:
-        """Take the sums of another memory; the weights go on decaying at the own pace."""
+        """Take the sums of another memory; the rate of decay of the weights stays."""
         for name in self.__slots__:
             if name != "keep":
                 setattr(self, name, getattr(other, name))

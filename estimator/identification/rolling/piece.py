@@ -1,4 +1,4 @@
-"""A piece of a stream as a motion record, its sums at the anchor of a rolling fit, and what sums say of the spectrum.
+"""A piece of a stream as a motion record, its sums at the anchor of a rolling fit, and the spectrum by these sums.
 
 The power of the residual force in cells of frequency shows sensor noise other than that of the anchor, and a spectrum
 that no force and no noise of the model explains.
@@ -211,7 +211,7 @@ def cell_power(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Arr
 
 
 def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[float, float]]:
-    """For every place what the cell that stands out most has more than the model, relative, and its frequency, Hz.
+    """Relative excess over the model of the most significant cell, and the frequency of the cell, Hz, by place.
 
     0 where none stands out by more than chance, or where a force is measured. delta : (k,) increments, scaled.
     """
@@ -225,10 +225,10 @@ def excess_power(anchor: Anchor, memory: Memory, delta: Array) -> list[tuple[flo
     n, freedom = np.maximum(bins, 1e-300), 2.0 * bins * memory.n / memory.n2
     ratio = powers / n / (powers.sum(axis=1, keepdims=True) / n.sum())
     p = np.minimum(chdtr(freedom, freedom * ratio), chdtrc(freedom, freedom * ratio))
-    told = (p < LIMITS.max_colour_p) & (bins > 0.0)
-    worst = np.argmax(np.where(told, np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-300)), 0.0), axis=1)
+    significant = (p < LIMITS.max_colour_p) & (bins > 0.0)
+    worst = np.argmax(np.where(significant, np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-300)), 0.0), axis=1)
     at = np.arange(len(powers)), worst
-    return list(zip(np.where(told[at], ratio[at] - 1.0, 0.0).tolist(), middle[worst].tolist(), strict=True))
+    return list(zip(np.where(significant[at], ratio[at] - 1.0, 0.0).tolist(), middle[worst].tolist(), strict=True))
 
 
 def renewed_noise(anchor: Anchor, memory: Memory, delta: Array) -> tuple[Array, Array] | None:

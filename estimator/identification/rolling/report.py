@@ -24,12 +24,12 @@ LOST_LAW = "its force is not distinguishable from zero in this record"
 def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Parameter]:
     """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
     anchor, values, model = follower.anchor, follower.values(), first.model
-    own = anchor.names[: anchor.own]
-    sd = dict(zip(own, np.sqrt(np.diag(follower.covariance())) * anchor.scales[: anchor.own], strict=True))
+    fitted = anchor.names[: anchor.own]
+    sd = dict(zip(fitted, np.sqrt(np.diag(follower.covariance())) * anchor.scales[: anchor.own], strict=True))
     for place, around in ({} if model.background is None else model.background.at).items():
         for name, more in ((f"{place}.kL", around.stiffness_sd_rel), (f"{place}.c", around.damping_sd_rel)):
             sd |= {name: float(np.hypot(sd[name], more * values[name]))} if name in sd else {}
-    units = dict(zip(own, anchor.units, strict=False))
+    units = dict(zip(fitted, anchor.units, strict=False))
     (level, level_sd), S = follower.level(), follower.excitation()
     out: dict[str, Parameter] = {}
     for i, place in enumerate(anchor.data.places):
@@ -40,7 +40,7 @@ def judged_parameters(follower: Follower, first: FirstFit) -> dict[str, Paramete
             elif key != "m" or model.cap_mass(place) is not None:
                 out[name] = Parameter(values[name], 0.0, LINEAR_UNITS[key], reason="given")
         out[f"{place}.S"] = _judged_parameter(S[i] * level[i], S[i] * level_sd[i], LINEAR_UNITS["S"])
-    out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in own if name not in out}
+    out |= {name: _judged_parameter(values[name], sd[name], units[name]) for name in fitted if name not in out}
     out = with_mass_uncertainty(model, _without_lost_laws(follower, out), first.masses)
     out = {**with_unidentifiable_at(unscaled_places(model, first.masses), NO_MASS_REASON, out, "N"), **first.masses}
     for place, (power, hz) in zip(anchor.data.places, follower.excess_power(), strict=True):
@@ -54,8 +54,8 @@ def is_coloured(follower: Follower) -> bool:
 
 
 def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: float) -> dict[str, Parameter]:
-    """The parameters where the spectrum of the residual force at a place is not that of the model: with the reason, or
-    without a number. excess : its power near `hz` over that of the model, less 1."""
+    """The parameters, those of a place whose spectrum departs from the model with the reason, or without a
+    number. excess : power of the residual force near `hz` over that of the model, less 1."""
     if abs(excess) < LIMITS.min_colour_rel:
         return found
     reason = f"the residual force is not white, {100 * excess:+.0f} % near {hz:.0f} Hz: rotorscope diagnose says why"
@@ -67,7 +67,7 @@ def _with_colour(found: dict[str, Parameter], place: str, excess: float, hz: flo
 
 
 def _without_lost_laws(follower: Follower, found: dict[str, Parameter]) -> dict[str, Parameter]:
-    """The parameters, without those of laws none of whose fitted amplitudes is told from zero."""
+    """The parameters, without those of laws none of whose fitted amplitudes is identifiable."""
     out = dict(found)
     for use in follower.anchor.placed:
         names = {use.name(k): q for k, q in enumerate(use.effect.parameters) if use.name(k) in found}

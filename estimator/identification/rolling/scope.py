@@ -47,8 +47,8 @@ class RollingScope:
     approximate: frozenset[str] = frozenset()
 
     def _beside_even_law(self, name: str, p: Parameter) -> Parameter:
-        """A parameter as it is shown where a law makes a slow displacement: no number of a law, and linear ones with
-        the reason why they are a little off."""
+        """A parameter as it is shown where a law makes a slow displacement: no number for a law, and a linear parameter
+        with the reason of its small bias."""
         if not p.identifiable or p.sd == 0.0 or not any(name.startswith(f"{place}.") for place in self.approximate):
             return p
         if name.count(".") > 2:
@@ -105,23 +105,23 @@ def rolling_scope(model: Model) -> RollingScope:
 
 
 def _biased(use: EffectUse, effect: Effect, model: Model, key: str, missing: list[str]) -> dict[str, str]:
-    """Places whose numbers an effect at `key` biases as it is left out, with the reason that is shown."""
-    own = [p for p in model.places if key in (p, p.split(".")[0])]
+    """Places whose parameters are biased as an effect at `key` is left out, with the reason that is shown."""
+    places = [p for p in model.places if key in (p, p.split(".")[0])]
     if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
         settings = written(effect, use, model, key)
         return {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(settings, model, p)}
     if effect.found_by == "samples":
         return {key: CLIPPED_REASON}
     if missing and not effect.scales_channel:
-        return dict.fromkeys(own, f"not without the {', '.join(missing)} of {use.name}: {WRITE_HINT}")
+        return dict.fromkeys(places, f"not without the {', '.join(missing)} of {use.name}: {WRITE_HINT}")
     if effect.kind == "memory" or (effect.spectral_factor is not None and effect.name not in FORCE_SHAPES):
-        return dict.fromkeys(own, f"beside {use.name}: {FIT_HINT}")
+        return dict.fromkeys(places, f"beside {use.name}: {FIT_HINT}")
     return {}
 
 
-def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:
+def _crack_is_felt(settings: Mapping[str, Setting], model: Model, place: str) -> bool:
     """Whether a crack changes the stiffness at a place noticeably; True if its values are not known."""
-    values = [s.value for s in own.values()]
+    values = [s.value for s in settings.values()]
     kL = model.linear.get(place, {}).get("kL", Setting()).value
     if not values or None in values or not kL:
         return disc_of(model) is not None
@@ -129,7 +129,7 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
 
 
 def _is_undone_as_given(effect: Effect) -> bool:
-    """Whether an effect is a known shape of the excitation or a gain, undone at the values of the rig file."""
+    """Whether an effect is a known shape of the excitation or a gain, inverted at the values of the rig file."""
     return effect.name in FORCE_SHAPES or effect.scales_channel
 
 

@@ -1,6 +1,6 @@
 """The missing force while samples arrive: what candidate effects would explain of the residual force.
 
-The regressors of the candidates are in the Gram matrices of a memory of their own. At the maximum of the model, with
+The regressors of the candidates are in the Gram matrices of a separate memory. At the maximum of the model, with
 the amplitudes of the candidates at zero, one Newton step in all parameters gives the strength of each candidate, the
 score its significance, and the Gram matrix the force that it would explain. No second fit is needed.
 """
@@ -103,7 +103,7 @@ def missing_force(follower: Follower) -> dict[str, float] | None:
 
 
 def _pseudo_inverse(H: Array) -> Array:
-    """Pseudo-inverse of a symmetric matrix with a diagonal of at most 1; zero along what the data leave free."""
+    """Pseudo-inverse of a symmetric matrix with a diagonal of at most 1; zero in directions without information."""
     w, V = np.linalg.eigh(H)
     keep = w > LIMITS.min_eigenvalue_rel * max(float(w.max()), 1.0)
     return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)
