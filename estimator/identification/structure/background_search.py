@@ -128,7 +128,7 @@ def _of_direction(
 
 
 def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
-    """The best problem and point of greedy searches, which end elsewhere from other starts.
+    """The best problem and point of greedy searches from several starts, as their ends depend on the start.
 
     A search from white forces follows where the others leave something to be explained. least : nats that a mode has to
     gain.
@@ -137,8 +137,8 @@ def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
     if all(float(problem.misfit(point).max()) > LIMITS.explained_misfit for problem, point in found):
         problem, point = starts[0]
         white = replace(problem, octaves=np.inf, fall_power=0)
-        begun = white.maximised(white.respaced(point.values, problem))
-        found.append(search_background(white, begun, least, thorough=True))
+        first = white.maximised(white.respaced(point.values, problem))
+        found.append(search_background(white, first, least, thorough=True))
     return max(found, key=lambda one: score_nats(one, least))
 
 
@@ -160,7 +160,7 @@ def search_background(
 
 
 def _leaves_unknown(problem: JointSpectrum, point: JointPoint) -> bool:
-    """Whether spectra depart from the model by more than the laws that it lacks shape them."""
+    """Whether spectra depart from the model by more than missing laws can shape them."""
     return float(problem.misfit(point).max()) >= LIMITS.min_unknown_depth_rms
 
 
@@ -200,7 +200,7 @@ def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, least: float) 
 
 
 def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, least: float) -> JointPoint:
-    """The point, or the one that is reached from other values if it is likelier and each bearing resonates there.
+    """The point, or the point reached from other values if that is likelier and each bearing resonates there.
 
     In its new form a mode may make another one idle.
     """
@@ -216,7 +216,7 @@ def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, lea
 def _resonates(problem: JointSpectrum, point: JointPoint) -> bool:
     """Whether each cap on its bearing, damped below critical, and each mode resonate below the upper edge of the band.
 
-    The flank of a mode above the edge cannot be told from a fall of the force.
+    The flank of a mode above the edge is not identifiable beside a roll-off of the force.
     """
     f0, edge_hz = _resonances_hz(problem, point), problem.spectra.f_hz[-1]
     zeta = np.exp(point.values.damping) / (4.0 * np.pi * f0 * problem.mass)
@@ -229,7 +229,7 @@ def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:
 
 
 def score_nats(solution: Solution, least: float) -> float:
-    """Nats of a solution, less what its modes and the form of the spectrum of the force have to gain."""
+    """Nats of a solution, less the nats that its modes and the form of its force spectrum have to gain."""
     problem, point = solution
     return point.log_likelihood - least * (len(point.values.modes) + problem.refinements)
 
@@ -263,24 +263,24 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
 
 
 def _resonates_low(problem: JointSpectrum, point: JointPoint) -> bool:
-    """Whether all bearings resonate so far below the upper edge of the band that a fall there is not theirs."""
+    """Whether all bearings resonate so far below the upper edge of the band that a roll-off there is not theirs."""
     return bool(_resonances_hz(problem, point).max() * LIMITS.min_edge_ratio < problem.spectra.f_hz[-1])
 
 
 def _least_octaves(problem: JointSpectrum, point: JointPoint) -> float:
-    """Least distance of the knots that leaves the force without a bend in the resonance of a bearing."""
+    """Least distance of the knots at which the spectrum of the force is smooth over the resonance of a bearing."""
     k, c = np.exp(point.values.stiffness), np.exp(point.values.damping)
     zeta = c / (2.0 * np.sqrt(k * problem.mass))
     return float(np.log2(1.0 + LIMITS.min_knot_widths * 2.0 * zeta.min()))
 
 
 def tried_point(problem: JointSpectrum, values: JointValues) -> JointPoint:
-    """The point after some steps, to compare values by."""
+    """The point after a few steps from some values, for a comparison of values."""
     return problem.maximised(values, LIMITS.tried_steps, LIMITS.tried_tolerance_nats)
 
 
 def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[Solution]:
-    """Points with one more mode, those that promise most."""
+    """Points with one more mode, for the modes of the highest score."""
     seen: list[tuple[ModePlace, float]] = []
     for _, mode, q in sorted(_scores(problem, point), key=lambda one: -one[0]):
         if any(mode == other and abs(q[0] - f) < LIMITS.same_frequency_ln for other, f in seen):

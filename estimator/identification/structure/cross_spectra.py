@@ -25,7 +25,7 @@ class SearchTooLongError(Exception):
 
 @dataclass(slots=True)
 class Work:
-    """Work of a search. done, limit : numbers of derivatives of spectra that take as long."""
+    """Work of a search. done, limit : in equivalent derivatives of spectra."""
 
     limit: float = np.inf
     done: float = 0.0

@@ -1,4 +1,4 @@
-"""Spectrum of a channel in cells of a constant relative width, without its tones: what modes are fitted to."""
+"""Spectrum of a channel in cells of a constant relative width, without its tones, to which modes are fitted."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def spline_basis(x: Array, pieces: int, degree: int) -> Array:
 
 
 def beside_lines(f: Array, lines: Sequence[LineBand]) -> NDArray[np.bool_]:
-    """(bins,) whether a bin at f Hz, evenly spaced, is beside all lines and their skirts under the tapers."""
+    """(bins,) whether a bin at f Hz, evenly spaced, is outside all lines and their skirts under the tapers."""
     out = np.ones(f.size, dtype=bool)
     for line in lines:
         skirt = f[1] * (LIMITS.min_line_reach_bins + LIMITS.sidelobe_bins * (line.power_over_psd_hz / f[1]) ** 0.25)

@@ -72,7 +72,7 @@ class JointValues:
     heavier: Array = field(default_factory=lambda: np.zeros(0))
 
     def vector(self) -> Array:
-        """(parameters,) all of them."""
+        """(parameters,) all values as one vector."""
         parts = self.force.ravel(), self.noise, self.stiffness, self.damping, self.heavier, self.q.ravel()
         return np.concatenate(parts)
 
@@ -211,7 +211,7 @@ class JointSpectrum:
         return JointPoint(values=values, log_likelihood=nats, s=s, D=D, B=B, T=T, S=S, N=N, signal=signal, W=W, R=R)
 
     def modes(self, values: JointValues) -> Iterator[tuple[int, StructuralMode]]:
-        """Number of its cap and structural mode, one after another."""
+        """Each structural mode with the number of its cap."""
         for where, (f_hz, damping, ratio) in zip(values.modes, np.exp(values.q).tolist(), strict=True):
             mass = ratio * float(self.mass[where.cap])
             yield where.cap, StructuralMode(form=where.form, mass=mass, frequency_hz=f_hz, damping=damping)
@@ -265,7 +265,7 @@ class JointSpectrum:
                 yield from ((cap, per * dz) for dz in (d_frequency * (den - top), damp * (den - top), top * den))
 
     def matrices(self, rows: Array) -> Complexes:
-        """(cells, caps, caps) Hermitian matrices whose rows, weighted once more, these are."""
+        """(cells, caps, caps) Hermitian matrices of some rows, weighted once more."""
         caps, root = range(self.mass.size), np.sqrt(self.spectra.n)
         out = np.zeros((root.size, len(caps), len(caps)), np.complex128)
         parts = iter(rows.reshape(-1, root.size))
@@ -336,7 +336,7 @@ class JointSpectrum:
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Information on the parameters of forces, noise, stiffness and damping, and what they are expected at.
+        """Information on the parameters of forces, noise, stiffness and damping, and their expected values.
 
         (k, k) and (k,), in the order of `JointValues.vector`; nothing is known before on those that follow.
         """

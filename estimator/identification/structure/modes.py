@@ -287,7 +287,7 @@ def _is_sound(cells: CellSpectrum, fit: OscillatorFit) -> bool:
 
 
 def _fit(problem: _Problem, theta: Array, parts: _Parts) -> OscillatorFit:
-    """The numbers of a maximum."""
+    """The fit at a maximum of the likelihood."""
     k, cells = problem.k, problem.cells
     tail = theta[k + 1 :].reshape(-1, 3)
     f, zeta = np.exp(tail[:, 0]), np.exp(tail[:, 1])

@@ -1,4 +1,4 @@
-"""Spectral matrices of all caps, explained by a rig and by changes of it, each with a background of its own.
+"""Spectral matrices of all caps, explained by a rig and by changes of the rig, each with its background.
 
 The response of one cap to the force at another shows masses, shaft and channels. The background acts at one cap: it
 does not take the place of a wrong mass without more modes or a lower likelihood.
@@ -81,18 +81,18 @@ class RigFit:
 
     @property
     def dispersion(self) -> float:
-        """Scatter of the whitened spectra over that of a complete model, 1 or more: nats are worth less by it."""
+        """Scatter of the whitened spectra over that of a complete model, 1 or more: nats count less by this factor."""
         each = [problem.dispersion(point) for problem, point in self.solutions]
         return max(1.0, *each)
 
     @property
     def explains(self) -> bool:
-        """Whether nothing is seen that a further search could explain."""
+        """Whether the spectra show no misfit that a further search could explain."""
         return self.misfit < LIMITS.explained_misfit
 
 
 class RigSpectra:
-    """The spectral matrices of the caps, and what a rig explains of them.
+    """The spectral matrices of the caps, and their fit by a rig.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class RigSpectra:
         return replace(spectral_problem(model, self._point, arranged, channels.channel_of), work=self._work)
 
     def _arranged(self, places: tuple[int, ...], channels: Arrangement) -> CrossSpectra:
-        """The spectra of some places with the channels that are there in truth."""
+        """The spectra of some places, by the channels that the arrangement puts there."""
         source = [channels.channel_of[i] for i in places]
         sign = np.array([channels.sign[i] for i in places])
         psd = self._spectra.psd[:, source][:, :, source] * sign[:, None] * sign
@@ -248,7 +248,7 @@ class RigSpectra:
 def _at_same_resonance(
     problem: JointSpectrum, cap: int, old: JointSpectrum, cap0: int, values: JointValues, heavier: float
 ) -> float:
-    """ln of the stiffness of a bearing that leaves its cap, so much heavier, the stiffness per mass with the shaft.
+    """ln of the bearing stiffness at which a heavier cap keeps its stiffness per mass, shaft included.
 
     cap, cap0 : its number in the new and in the old problem. values : of the old one. heavier : ln of the mass ratio.
     """

@@ -198,7 +198,7 @@ def pedestal_values(z: Array, cap_mass: float) -> Array:
 
 
 def pedestal_at_limit(z: Array) -> bool:
-    """Whether a search ended at a limit of the pedestal's range that means that there is none.
+    """Whether a search ended at a limit of the pedestal's range where the pedestal has no effect.
 
     A pedestal too heavy or too stiff to be identified lies at the other limits.
     """
@@ -302,13 +302,13 @@ def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float
 
     Gain and corner are fitted to the same spectrum, so S is far more uncertain than its number of bins suggests.
     """
-    own = coloured_excitation.shape(point.data.f_hz, (gain, corner))
-    flat = replace(point, data=replace(point.data, excitation_shape=point.data.excitation_shape / own))
+    factor = coloured_excitation.shape(point.data.f_hz, (gain, corner))
+    flat = replace(point, data=replace(point.data, excitation_shape=point.data.excitation_shape / factor))
     c, shape = cells_of(flat, i), _coloured_shape(resonance_hz(point, i))
     _, u, scale = fit_base_model(flat, i, c)
     u[0] = np.log(point.S[i])
-    begun = replace(shape, starts=((float(np.log(gain + LIMITS.max_dimming_share)), float(np.log(corner))),))
-    sd = fit_shape(c, begun, u, scale)[2][0]  # of ln S
+    started = replace(shape, starts=((float(np.log(gain + LIMITS.max_dimming_share)), float(np.log(corner))),))
+    sd = fit_shape(c, started, u, scale)[2][0]  # of ln S
     return Parameter.from_estimate(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
 
 
@@ -322,8 +322,8 @@ def fit_shape(c: SpectralCells, shape: SpectralShape, u: Array, scale: Array) ->
 
     u : numbers of the base model. Its noise may be 0, so that ln of it is raised to a finite start.
     """
-    begun = np.array([u[0], max(u[1], u[0] + float(np.log(MIN_NOISE_RATIO / np.mean(c.noise_gain)))), *u[2:]])
-    starts = [np.concatenate([begun, s]) for s in shape.starts]
+    base = np.array([u[0], max(u[1], u[0] + float(np.log(MIN_NOISE_RATIO / np.mean(c.noise_gain)))), *u[2:]])
+    starts = [np.concatenate([base, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
     return _max_likelihood(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.effect.parameters), 0.3)]))

@@ -234,7 +234,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
 
 
 def _gain_by_part(
-    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], shape: Complexes, own: Complexes
+    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], shape: Complexes, noise: Complexes
 ) -> tuple[float, ...]:
     """Nats gained in each part of the band by the correlation of two forces that the other parts show.
 
@@ -248,7 +248,7 @@ def _gain_by_part(
     for k, part in enumerate(np.array_split(np.arange(shape.size), LIMITS.band_parts)):
         x, y, s = a[:, part], b[:, part], shape[part]
         both = np.einsum("bk,bk->k", x, y.conj()) / np.sqrt(np.vdot(x, x).real * np.vdot(y, y).real) * part.size
-        seen[k], weight[k] = np.vdot(s, both - own[part]).real, np.vdot(s, s).real
+        seen[k], weight[k] = np.vdot(s, both - noise[part]).real, np.vdot(s, s).real
     others = (seen.sum() - seen) / (weight.sum() - weight)
     return tuple((len(a) * (2.0 * others * seen - others**2 * weight)).tolist())
 
@@ -261,21 +261,21 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
     reference for others, as the two numbers of the shape take up the noise.
     """
     data = point.data
-    out, heard = [], data.noise_referred_to_force(point.A)
+    out, noise_gain = [], data.noise_referred_to_force(point.A)
     have = {place for u in model.effects if u.name == SENSOR_NOISE.name for place in u.parameters}
     known = [k for k in range(len(data.places)) if k not in shaped]
     plain = [k for k in known if not any(fitted_shape(model, data.places[k], name) for name in SHAPE_PARAMETERS)]
     for i in known:
         place, kind = data.places[i], data.kinds[i]
-        others = noise[[k for k in plain if k != i and data.kinds[k] == kind]]
-        if others.size == 0 or place in have:
+        of_others = noise[[k for k in plain if k != i and data.kinds[k] == kind]]
+        if of_others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()))
+        floor = max(float(np.median(of_others)), 0.2 * point.S[i] / float(noise_gain[i].max()))
         if noise[i] < LIMITS.min_noise_ratio_to_others * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
-        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)
+        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * noise_gain[i] / point.S[i]) ** 2) / 2)
         sd, ratio = rms / np.sqrt(2 * max(gain, 1.0)), np.sqrt(noise[i] / floor)
         name, unit = next(c.name for c in model.channels if c.place == place), MOTION_UNITS[data.kinds[i]]
         out.append(
@@ -285,7 +285,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
                 gain_nats=gain,
                 dof=1,
                 p_value=float(np.exp(-min(gain, 700.0))),
-                power_N2={i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))},
+                power_N2={i: float(noise[i] * np.mean(noise_gain[i]) * (data.band[1] - data.band[0]))},
                 against="frequency",
                 region=f"noise of {name}: {rms:.2g} {unit} rms, over {ratio:.1f} times that of its neighbours",
                 settings={place: {"rms": Parameter(rms, float(sd), unit)}},

@@ -126,13 +126,13 @@ class PlaceStructure:
 
     @property
     def resonances(self) -> int:
-        """Number of these modes, those nearer than half an octave to the next one counted once."""
+        """Number of similar modes, those nearer than half an octave to the next one counted once."""
         ratios = np.diff(np.log(np.sort([m.frequency_hz for m in self.similar])))
         return int(np.count_nonzero(ratios > np.log(LIMITS.same_mode_ratio))) + (len(self.modes) > 0)
 
     @property
     def similar_share(self) -> float:
-        """Share of the kinetic energy in the band that these modes hold."""
+        """Share of the kinetic energy in the band that the similar modes hold."""
         return sum(m.energy_share for m in self.similar)
 
 
@@ -230,7 +230,7 @@ def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -
     """The mode that can be that of the cap on its bearing, or why there is none, one line.
 
     One oscillator under a smooth force must explain the spectrum of the place, as must the oscillators that the rig
-    file has: cap, other cap and disc on a shaft. A record with further modes of similar energy does not tell which one
+    file has: cap, other cap and disc on a shaft. A record with further modes of similar energy does not show which one
     is the bearing's.
 
     Parameters
@@ -241,7 +241,7 @@ def bearing_mode(survey: StructureSurvey, place: str, *, of_rig: bool = False) -
         Such as "bearing1.x".
     of_rig : bool
         Whether the rig file gives the mass of the cap, or a shaft that does. A joint fit of the rig and of structural
-        modes beside it then tells which mode is the bearing's, and the strongest one is taken here.
+        modes beside it then shows which mode is the bearing's, and the strongest one is taken here.
     """
     own = survey.places.get(place)
     low, high = survey.band
@@ -295,7 +295,7 @@ def _place(place: str, channel: str, cells: CellSpectrum, expected: int) -> Plac
 
 
 def _with_bearing_mode(own: PlaceStructure, driven: bool) -> PlaceStructure:
-    """The place with its strongest mode as that of the bearing, where the rig explains all modes that are as strong.
+    """The place with its strongest mode as that of the bearing, where the rig explains all modes of similar strength.
 
     driven : whether a force is measured there. The shape of the spectrum is then that of the force, and not asked.
     """

@@ -23,7 +23,7 @@ class Thresholds:
     proposal_count: int = 4  # fitted at each step
     best_scores: int = 60  # of a form at a cap, among which the proposals are
     same_frequency_ln: float = 0.1  # proposals nearer than this are one
-    sure_mass_sd: float = 0.1  # of ln(mass): a mode as sure is worth some 50 nats
+    sure_mass_sd: float = 0.1  # of ln(mass): a mode as certain gains some 50 nats
     tried_steps: int = 12
     tried_tolerance_nats: float = 1.0
     max_idle_modes: int = 2  # that a mode makes idle by its other form
