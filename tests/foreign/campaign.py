@@ -30,7 +30,7 @@ import numpy as np
 from .judge import HONEST, LATE, RIGHT, RULES, WRONG, judge
 from .machine import Machine, sized
 from .own import own_record
-from .recorder import recorded, rig_file, told_rate
+from .recorder import given_rate, recorded, rig_file
 from .scene import KINDS, Scene, draw
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +60,7 @@ def run(kind: str, seed: int, given: argparse.Namespace) -> dict[str, Any]:
         folder.mkdir(parents=True, exist_ok=True)
         rig, log, npz = folder / "rig.toml", folder / "record.mcap", folder / "record.npz"
         rig.write_text(rig_file(scene, filters=knows_filters()))
-        begun, share = time.perf_counter(), None
+        start_s, share = time.perf_counter(), None
         if given.simulator == "own":
             machine = Machine(own_record(scene, folder, given.timeout))
             answer: dict[str, Any] = {"status": "ok"}
@@ -69,14 +69,14 @@ def run(kind: str, seed: int, given: argparse.Namespace) -> dict[str, Any]:
             machine = Machine(scene)
             moved = machine.moved()
             share = moved.share(machine)
-            np.savez(npz, rate_hz=told_rate(scene), **recorded(machine, moved))  # type: ignore[arg-type]
+            np.savez(npz, rate_hz=given_rate(scene), **recorded(machine, moved))  # type: ignore[arg-type]
             del moved
             answer, _ = rotorscope(given.timeout, "import", npz, "--rig", rig, "--out", log)
-        made_s, begun = time.perf_counter() - begun, time.perf_counter()
+        made_s, start_s = time.perf_counter() - start_s, time.perf_counter()
         if answer["status"] == "ok":
             command = given.command or ("improve" if kind == "two" else "diagnose")
             answer = ask(command, log, rig, folder, given.timeout)
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - start_s
         rig_text = rig.read_text()
         if given.keep and npz.exists():
             npz.unlink()

@@ -50,19 +50,19 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
     path = folder / case.key.replace("/", "_")
     path.mkdir(parents=True, exist_ok=True)
     (path / "rig.toml").write_text(rig_file(rig, base))
-    told = {"hidden": case.hidden, "rig": rig, "truth": truth}
-    (path / "truth.json").write_text(json.dumps(told, indent=1, default=float))
+    truth_file = {"hidden": case.hidden, "rig": rig, "truth": truth}
+    (path / "truth.json").write_text(json.dumps(truth_file, indent=1, default=float))
     names = [*rig["channels"], *(c.replace("b", "f") for c in rig["channels"] if rig["forced"])]
     channels = dict(zip(names, y.T, strict=True))
     np.savez(path / "record.npz", rate_hz=rig["rate"], **channels)
     del y, channels
     _rotorscope("import", path / "record.npz", "--rig", path / "rig.toml", "--out", path / "record.mcap")
     (path / "record.npz").unlink()
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     found = _rotorscope("improve", path / "record.mcap", "--rig", path / "rig.toml", "--out", path / "better.toml")
     said = {
         "key": case.key, "base": base, "recorder": rig["recorder"], "shaft": rig["shaft"],
-        "stiff": rig["ks"] > 0.1 * min(rig["kL"].values()), "seconds": time.perf_counter() - begun,
+        "stiff": rig["ks"] > 0.1 * min(rig["kL"].values()), "seconds": time.perf_counter() - start_s,
     }  # fmt: skip
     if "ladder" not in found:
         return said | {"error": found.get("error", "")}
@@ -119,13 +119,13 @@ def line_of(result: dict[str, Any]) -> str:
     """One run for the eye: the missing force along the ladder, what was added, and the worst number in its sds."""
     shaft = "stiff" if result["stiff"] else "soft"
     shaft = shaft if result["shaft"] == "chain" else result["shaft"]
-    begun = f"{result['key']:45s} {result['recorder']:13s} {shaft:5s} {result['seconds']:4.0f} s  "
+    head = f"{result['key']:45s} {result['recorder']:13s} {shaft:5s} {result['seconds']:4.0f} s  "
     if "error" in result:
-        return begun + str(result["error"])
+        return head + str(result["error"])
     worst = max((abs(z) for z in result["off"].values()), default=0.0)
     added = ", ".join(result["added"]) or "-"
     fall = " -> ".join(f"{p:.2f}" for p in result["percent"])
-    return f"{begun}{fall} %  {added}  {result['verdict']}  {worst:.1f} sd"
+    return f"{head}{fall} %  {added}  {result['verdict']}  {worst:.1f} sd"
 
 
 if __name__ == "__main__":

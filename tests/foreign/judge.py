@@ -155,7 +155,7 @@ def _key_text(answer: dict[str, Any]) -> str:
 
 
 def _remarked(mistake: str, answer: dict[str, Any], truth: dict[str, Any]) -> bool:
-    """Whether a remark beside the verdict tells the mistake: for a speed with the true one."""
+    """Whether a remark beside the verdict names the mistake: for a speed with the true one."""
     if mistake == "speed":
         speed = ((answer.get("machine") or {}).get("speed_rpm") or {}).get("value") or 0.0
         return "speed_contradicted" in answer["codes"] and abs(speed / truth["rpm"] - 1) < SPEED_TOLERANCE

@@ -19,7 +19,7 @@ SHAFTS = {"chain": [[1.0, 0, -1], [0, 1, -1], [-1, -1, 2]], "beam": [[1.0, 1, -2
 PILOTS, PILOT_STEPS = 5, 400_000  # tries; steps of each
 SICK_M_S = 7.1e-3  # rms at 1 or 2 x of an imbalance or misalignment: zone D of ISO 20816-3 begins (group 1, rigid)
 SICK_DOMINANCE = 2.0  # of the velocity of a tone that is a fault over all the rest of the velocity
-TOLD_CUBIC_SHARE = 0.02  # of the bearing force, of a cubic that the rig file has
+GIVEN_CUBIC_SHARE = 0.02  # of the bearing force, of a cubic that the rig file has
 
 
 @dataclass(slots=True)
@@ -47,7 +47,7 @@ class Machine:
         self._measure()
         self._add_surrounding_tones()
         if self.scene.cubic:
-            self._add("cubic", "both", TOLD_CUBIC_SHARE, self.scene.rng(6))
+            self._add("cubic", "both", GIVEN_CUBIC_SHARE, self.scene.rng(6))
         for name, where in self.scene.hidden.items():
             self._add(name, where, self.scene.share, self.scene.rng(7))
 
@@ -185,29 +185,29 @@ class Machine:
         """The whole record at the inner rate."""
         s = self.scene
         rate, rng = s.rate_hz * s.keep, s.rng(8)
-        turning = Turning(s, rng)
+        rotation = Rotation(s, rng)
         caps = [self.at[p] for p in s.measured]
         rows = np.vstack([np.eye(len(self.at))[caps], *(self.bearing[p] for p in s.measured)])
-        pushed = sorted({*(self.at[p] for p in s.places), *(t[0] for t in self.tones)})
-        force = Forces(self, pushed, rate, turning)
+        driven = sorted({*(self.at[p] for p in s.places), *(t[0] for t in self.tones)})
+        force = Forces(self, driven, rate, rotation)
         kept: list[NDArray[np.float32]] = []
         coarse: list[Array] = []
-        for _, x, v, a, laws in motion(self.rotor, force, rate, s.seconds, rng, turning, rows, pushed):
+        for _, x, v, a, laws in motion(self.rotor, force, rate, s.seconds, rng, rotation, rows, driven):
             kept.append((v if s.sensor == "velocity" else a)[:, : len(caps)].astype(np.float32))
             series = np.hstack([x[:, len(caps) :], v[:, len(caps) :], laws])
             whole = len(series) // s.keep * s.keep
             coarse.append(series[:whole].reshape(-1, s.keep, series.shape[1]).mean(axis=1))
-        return Moved(np.concatenate(kept), np.concatenate(coarse), turning, len(caps))
+        return Moved(np.concatenate(kept), np.concatenate(coarse), rotation, len(caps))
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
     """caps : (n, channels) of the sensors' kind, at the inner rate, SI. coarse : displacement and velocity of the
-    bearings of the channels, then laws, means of `keep` steps. turning : the shaft."""
+    bearings of the channels, then laws, means of `keep` steps. rotation : the shaft."""
 
     caps: NDArray[np.float32]
     coarse: Array
-    turning: Turning
+    rotation: Rotation
     channels: int
 
     def share(self, machine: Machine) -> float | None:
@@ -240,7 +240,7 @@ def sized(scene: Scene) -> Scene:
     return replace(scene, share=tried.share)
 
 
-class Turning:
+class Rotation:
     """Shaft angle, rad, of time, s: a speed that wanders."""
 
     def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -259,34 +259,34 @@ class Turning:
 class Forces:
     """The forces that act, chunk by chunk: coloured, of changing level, with tones and strikes."""
 
-    def __init__(self, machine: Machine, pushed: list[int], rate: float, turning: Turning) -> None:
+    def __init__(self, machine: Machine, driven: list[int], rate: float, rotation: Rotation) -> None:
         s = machine.scene
-        self.machine, self.pushed, self.turning, self.rate = machine, pushed, turning, rate
+        self.machine, self.driven, self.rotation, self.rate = machine, driven, rotation, rate
         rng = s.rng(9)
         self.knots = np.linspace(0.0, s.seconds, 7)
-        self.level = np.exp(s.around.level * rng.standard_normal((7, len(pushed))))
+        self.level = np.exp(s.around.level * rng.standard_normal((7, len(driven))))
         self.colour: dict[int, list[Array]] = {}
         for place, (zero, pole) in s.around.colour.items():
             b, a = signal.bilinear(*([1 / (2 * np.pi * f), 1.0] for f in (zero, pole)), rate)
-            self.colour[pushed.index(machine.at[place])] = [b, a, np.zeros(1)]
+            self.colour[driven.index(machine.at[place])] = [b, a, np.zeros(1)]
         self.strikes, self.ring = self._strikes(rng), np.zeros(1)
         self.rho = machine.numbers.get("bearing1.correlated_force", (0.0,))[0]
 
     def _strikes(self, rng: np.random.Generator) -> Array:
         """(n, 2) s and relative height of every strike."""
-        how, turning = self.machine.scene.strikes, self.turning
+        how, rotation = self.machine.scene.strikes, self.rotation
         if not how:
             return np.empty((0, 2))
-        n = int(how["order"] * turning.angle[-1] / (2 * np.pi))
+        n = int(how["order"] * rotation.angle[-1] / (2 * np.pi))
         angles = 2 * np.pi * (np.arange(n) + rng.uniform() + how["jitter"] * rng.standard_normal(n)) / how["order"]
         turns = 1.0 if how["name"] == "BPFI" else self.machine.scene.orders["FTF"]
         heights = 1.0 + how["modulated"] * np.cos(turns * angles) + 0.1 * rng.standard_normal(n)
-        return np.stack([np.interp(angles, turning.angle, turning.t), heights], axis=1)
+        return np.stack([np.interp(angles, rotation.angle, rotation.t), heights], axis=1)
 
     def __call__(self, t: Array, out: Array) -> Array:
-        angle = self.turning(t)
+        angle = self.rotation(t)
         if self.rho:
-            first, second = (self.pushed.index(self.machine.at[f"bearing{b}.x"]) for b in "12")
+            first, second = (self.driven.index(self.machine.at[f"bearing{b}.x"]) for b in "12")
             S1, S2 = (self.machine.scene.S[f"bearing{b}.x"] for b in "12")
             out[:, second] *= np.sqrt(1 - self.rho**2)
             out[:, second] += self.rho * out[:, first] * np.sqrt(S2 / S1)
@@ -297,7 +297,7 @@ class Forces:
             out[:, k] *= np.interp(t, self.knots, self.level[:, k])
         for dof, by_turn, order, amplitude in self.machine.tones:
             phase = order * angle if by_turn else 2 * np.pi * order * t
-            out[:, self.pushed.index(dof)] += np.real(amplitude * np.exp(1j * phase))
+            out[:, self.driven.index(dof)] += np.real(amplitude * np.exp(1j * phase))
         if len(self.strikes):
             self._strike(t, out)
         return out
@@ -314,4 +314,4 @@ class Forces:
         height = s.strikes["share"] * size.kL * size.x / np.sqrt(per_s * s.fade_s / 2)
         for d, part in (("x", 1.0), ("y", 0.6)):
             if f"bearing1.{d}" in machine.at:
-                out[:, self.pushed.index(machine.at[f"bearing1.{d}"])] += height * part * pulses
+                out[:, self.driven.index(machine.at[f"bearing1.{d}"])] += height * part * pulses

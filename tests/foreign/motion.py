@@ -24,7 +24,7 @@ LAWS = (
 )  # fmt: skip
 WITH_MEMORY = (LAWS.index("bouc_wen"), LAWS.index("other_loop"))
 MAX_MODAL_ERROR = 1e-8  # of the flow put together again from its modes, relative: rounding
-Turning = Callable[[Array], Array]  # (n,) s -> (n,) rad of the shaft
+Rotation = Callable[[Array], Array]  # (n,) s -> (n,) rad of the shaft
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,22 +226,22 @@ def steps(
 
 def motion(
     rotor: Rotor, force: Callable[[Array, Array], Array], rate_hz: float, seconds: float, rng: np.random.Generator,
-    turning: Turning | None = None, seen: Array | None = None, pushed: list[int] | None = None,
+    rotation: Rotation | None = None, seen: Array | None = None, driven: list[int] | None = None,
 ) -> Iterator[tuple[Array, Array, Array, Array, Array]]:  # fmt: skip
-    """Chunks of (forces (steps, pushed), displacement, velocity, acceleration (steps, seen), laws (steps, laws)), SI.
+    """Chunks of (forces (steps, driven), displacement, velocity, acceleration (steps, seen), laws (steps, laws)), SI.
 
-    force : of (steps,) s and (steps, pushed) N of even white noise makes the force that acts, held along a step.
-    rate_hz : of the steps. turning : of the shaft, even at `rotor.turn` if None. seen : (seen, n) weights of the
-    degrees of freedom, each by itself if None. pushed : degrees of freedom that a force acts on, all if None.
+    force : of (steps,) s and (steps, driven) N of even white noise makes the force that acts, held along a step.
+    rate_hz : of the steps. rotation : of the shaft, even at `rotor.turn` if None. seen : (seen, n) weights of the
+    degrees of freedom, each by itself if None. driven : degrees of freedom that a force acts on, all if None.
     """
     n, dt = len(rotor.M), 1.0 / rate_hz
     seen = np.eye(n) if seen is None else seen
-    pushed = list(range(n)) if pushed is None else pushed
+    driven = list(range(n)) if driven is None else driven
     inverse = np.linalg.inv(rotor.M)
     values, shapes, left = rotor.modes()
     x_of, v_of, push_in = 2 * shapes[:n], 2 * shapes[n:], left[:, n:] @ inverse  # twice: of each pair one is stepped
     half = np.exp(values * dt / 2)
-    drive = ((half - 1) / values)[:, None] * push_in[:, pushed]
+    drive = ((half - 1) / values)[:, None] * push_in[:, driven]
     along = np.array([one.along for one in rotor.laws]).reshape(-1, n)
     across = np.array([one.across for one in rotor.laws]).reshape(-1, n)
     kinds = np.array([LAWS.index(one.name) for one in rotor.laws], dtype=np.int64)
@@ -257,13 +257,13 @@ def motion(
     for first in range(0, total, CHUNK):
         size = min(CHUNK, total - first)
         t = (first + np.arange(size)) * dt
-        forces = rng.standard_normal((size, len(pushed))) * np.sqrt(rotor.S[pushed] * rate_hz / 2)
+        forces = rng.standard_normal((size, len(driven))) * np.sqrt(rotor.S[driven] * rate_hz / 2)
         forces = force(t, forces)
-        angles = rotor.turn * t if turning is None else turning(t)
+        angles = rotor.turn * t if rotation is None else rotation(t)
         out, laws = np.empty((3, size, len(seen))), np.empty((size, len(kinds)))
         steps(
             modes, memory, half, drive, forces, kinds, numbers, at, dt * (push_in @ along.T), first * dt, dt, angles,
-            np.stack([seen @ x_of, seen @ v_of]), (seen @ v_of) * values, seen @ inverse[:, pushed],
+            np.stack([seen @ x_of, seen @ v_of]), (seen @ v_of) * values, seen @ inverse[:, driven],
             seen @ inverse @ along.T, out, laws,
         )  # fmt: skip
         yield forces, *out, laws

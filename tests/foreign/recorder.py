@@ -11,7 +11,7 @@ from .scene import Scene
 
 Array = NDArray[np.float64]
 UNITS = {"m/s^2": 1.0, "g": 9.80665, "mm/s": 1e-3}
-TOLD_FILTERS = ("butterworth", "bessel", "fir")  # of the others a rig file cannot give the ripple
+GIVEN_FILTERS = ("butterworth", "bessel", "fir")  # of the others a rig file cannot give the ripple
 PITCH_MM, GROOVE = 40.0, 0.52  # of the bearing; groove radius of the ball diameter
 
 
@@ -24,7 +24,7 @@ def recorded(machine: Machine, moved: Moved) -> dict[str, Array]:
     hum = np.zeros(n)
     for hz, loud in s.around.hum:
         hum += loud * np.sqrt(2) * np.sin(2 * np.pi * (hz * t + rng.uniform()))
-    angle = moved.turning(t)
+    angle = moved.rotation(t)
     out = {}
     for k, name in enumerate(s.channels):
         y = moved.caps[:, k].astype(np.float64) / UNITS[s.unit]
@@ -97,7 +97,7 @@ def _pink(n: int, rng: np.random.Generator) -> Array:
     return np.asarray(y / np.std(y))
 
 
-def told_rate(s: Scene) -> float:
+def given_rate(s: Scene) -> float:
     """Hz that the user believes."""
     return s.rate_hz * (s.factor if s.mistake == "rate" else 1.0)
 
@@ -120,10 +120,10 @@ def rig_file(s: Scene, filters: bool) -> str:
     lines += [
         "[rig.bearing]", f"balls = {s.balls}", f"ball_diameter_mm = {ball:.6f}", f"pitch_diameter_mm = {PITCH_MM}",
         f"groove_radius_mm = {GROOVE * ball:.6f}", "[band]", f"low = {s.band[0]:.4g}", f"high = {s.band[1]:.4g}",
-        "[acquisition]", f"rate_hz = {told_rate(s)!r}",
+        "[acquisition]", f"rate_hz = {given_rate(s)!r}",
     ]  # fmt: skip
     kind, order, hz = s.around.filter
-    if filters and s.around.filter_given and kind in TOLD_FILTERS:
+    if filters and s.around.filter_given and kind in GIVEN_FILTERS:
         lines.append(f'anti_alias = {{ kind = "{kind}", order = {order}, cutoff_hz = {hz!r} }}')
     lines += ["[model]", f"effects = {['cubic'] if s.cubic else []}"]
     for c in s.channels:

@@ -164,9 +164,9 @@ def draw(kind: str, seed: int, seconds: tuple[float, float], effects: tuple[str,
         name = str(rng.choice(["BPFO", "BPFI", "2BSF"]))
         slip = rng.uniform(0.0, 0.02)
         ratio = np.sqrt(MIN_LINE / scene.seconds / (scene.band[1] - scene.band[0]))  # of powers, strikes over force
-        heard = float(np.sqrt(ratio * 8 * zeta / w / (4 * scene.fade_s)))
+        audible = float(np.sqrt(ratio * 8 * zeta / w / (4 * scene.fade_s)))
         strikes = {
-            "share": max(log_uniform(rng, MIN_SHARE, 4 * MIN_SHARE), heard),
+            "share": max(log_uniform(rng, MIN_SHARE, 4 * MIN_SHARE), audible),
             "name": name, "order": scene.orders[name] * (1 - slip), "slip": slip,
             "jitter": log_uniform(rng, 1e-3, 1e-2), "modulated": 0.0 if name == "BPFO" else rng.uniform(0.2, 0.8),
         }  # fmt: skip

@@ -80,7 +80,7 @@ def test_a_cubic_has_the_density_of_boltzmann() -> None:
         Case({"clearance": "bearing1"}, "strong", 1, 20.0),
         # on a shaft stiffer than the bearing; undressed by it 65 % of what the law explains was left: "unknown"
         Case({"quadratic": "bearing1"}, "strong", 0, 30.0),
-        # the disc rings long: too few impulses told what the hysteresis does to the response, and it was "unknown"
+        # the disc rings long: too few impulses gave the response of the hysteresis, and the verdict was "unknown"
         Case({"bouc_wen": "bearing1"}, "strong", 1, 30.0),
         # neither cap of the direction can be judged: their sensors' gains were called unlike, and a division by nothing
         # ended the next step
@@ -123,8 +123,8 @@ def test_what_was_hidden_is_found_in_one_direction(name: str, tmp_path: Path) ->
     ids=lambda case: case.key,
 )  # fmt: skip
 def test_a_crack_behind_a_filter_that_folds_is_found_and_measured(case: Case, tmp_path: Path) -> None:
-    """Folded noise rang at the disc's resonance as motion would, and bent the likelihood near it: the wave that turns
-    was 264 of 450 and 923 of 1389 kN/m. The recorder's delay turns it by some degrees."""
+    """Aliased noise near the disc resonance was read as motion and biased the likelihood there: the wave that turns was
+    264 of 450 and 923 of 1389 kN/m. The recorder's delay turns it by some degrees."""
     bench, base, y = made(case)
     assert bench.rig["recorder"] == "bessel"
     (tmp_path / "rig.toml").write_text(rig_file(bench.rig, base))
