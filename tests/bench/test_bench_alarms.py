@@ -67,10 +67,10 @@ def test_false_alarms_are_as_many_as_were_accepted(kind: str, change: float) -> 
 def test_the_delay_of_a_change(kind: str, change: float) -> None:
     """An alarm with `change` of this size, and a change of this size."""
     rng = np.random.default_rng([int(100 * change), kind == "white"])
-    delays, told = [], []
+    delays, expected = [], []
     for _ in range(MONTHS_OF_DELAY):
         test, _, month = watched(kind, change, rng)
-        told.append(test.delay(change * MEAN))
+        expected.append(test.delay(change * MEAN))
         before = month[:500]
         for value in before.tolist():
             test.update(value)
@@ -78,5 +78,5 @@ def test_the_delay_of_a_change(kind: str, change: float) -> None:
         after = (month[500:] - change * MEAN).tolist()
         delays.append(next((k for k, value in enumerate(after, 1) if test.update(value)), MONTH_VALUES))
     print(f"\n{kind}, change {100 * change:g} %: an alarm after {np.median(delays):.0f} min (95 %: "
-          f"{np.quantile(delays, 0.95):.0f} min), said before: {np.mean(told):.0f} min")  # fmt: skip
+          f"{np.quantile(delays, 0.95):.0f} min), said before: {np.mean(expected):.0f} min")  # fmt: skip
     assert np.quantile(delays, 0.95) < 60

@@ -57,7 +57,7 @@ def best(work: Callable[[], object], times: int = 5) -> float:
 
 @contextmanager
 def sender(data: bytes, folder: Path) -> Iterator[tuple[str, Callable[[], None]]]:
-    """A process that writes `data` to a pty as fast as the reader takes it, once told to."""
+    """A process that writes `data` to a pty as fast as the reader takes it, once asked to."""
     master, slave = os.openpty()
     tty.setraw(slave)
     path = folder / "wire.bin"

@@ -4,7 +4,7 @@
     ROTORSCOPE_SEEDS=10 pytest -m bench -s tests/bench/test_bench_rivals.py
 
 Two tests: the rig of configs/tiwari_vyas_1997.toml (the integrator of tests/estimator/reference_rig.py), accelerations
-at 25.6 kHz, 60 s; and the one-degree test of test_bench_duffing.py. No method is told anything of the truth but the
+at 25.6 kHz, 60 s; and the one-degree test of test_bench_duffing.py. No method knows anything of the truth but the
 masses and, on the rig, the shaft. Slow rivals run on fewer records, whose number stands in the table
 (ROTORSCOPE_SLOW_SEEDS), and on the rig on ten seconds of one place. With
 ROTORSCOPE_RESULTS=FILE each result is appended to the file and read back from it, so that a run can be continued.

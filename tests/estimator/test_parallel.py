@@ -113,31 +113,31 @@ def test_beside_other_threads_there_is_one_process() -> None:
     wait = threading.Event()
     other = threading.Thread(target=wait.wait)
     other.start()
-    heard: list[int] = []
+    seen: list[int] = []
     try:
-        assert set(map_processes([os.getpid] * 5, done=heard.append)) == {os.getpid()}
+        assert set(map_processes([os.getpid] * 5, done=seen.append)) == {os.getpid()}
     finally:
         wait.set()
         other.join()
-    assert heard == [1, 2, 3, 4, 5]
+    assert seen == [1, 2, 3, 4, 5]
 
 
-def test_progress_is_told() -> None:
-    heard = run(
-        "heard = []; map_processes([partial(slow, k) for k in range(20)], done=heard.append); print(json.dumps(heard))"
+def test_progress_is_reported() -> None:
+    seen = run(
+        "seen = []; map_processes([partial(slow, k) for k in range(20)], done=seen.append); print(json.dumps(seen))"
     )
-    assert heard == sorted(heard)
-    assert heard[-1] >= 18
-    assert map_processes([], done=heard.append) == []
+    assert seen == sorted(seen)
+    assert seen[-1] >= 18
+    assert map_processes([], done=seen.append) == []
     assert map_processes([partial(int, "7")]) == [7]
 
 
 def test_on_one_core_everything_is_done_here_and_now() -> None:
-    told: list[int] = []
+    seen: list[int] = []
     with one_core():
-        assert set(map_threads(lambda _: threading.get_ident(), range(3), told.append)) == {threading.get_ident()}
+        assert set(map_threads(lambda _: threading.get_ident(), range(3), seen.append)) == {threading.get_ident()}
         assert map_processes([os.getpid, threading.active_count]) == [os.getpid(), threading.active_count()]
-    assert told == [1, 2, 3]
+    assert seen == [1, 2, 3]
     assert set(map_threads(lambda _: threading.get_ident(), range(3))) != {threading.get_ident()}
 
 

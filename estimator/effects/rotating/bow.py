@@ -1,4 +1,4 @@
-"""Bent shaft turning with the rotor."""
+"""Bent shaft that rotates with the rotor."""
 
 from __future__ import annotations
 

@@ -149,11 +149,11 @@ def test_pedestal_against_its_transfer_function() -> None:
 
 
 @pytest.mark.parametrize("name", ["imbalance", "bow"])
-def test_turning_forces_turn_forward(name: str) -> None:
+def test_rotating_forces_rotate_forward(name: str) -> None:
     zero = 0.0 * ANGLE
     fx, fy = (-law(name, 0.3, -0.4, x=zero, phase=ANGLE, s=s) for s in (1.0, -1.0))
-    turning = (fx + 1j * fy) * np.exp(-1j * ANGLE)
-    np.testing.assert_allclose(turning, 0.3 - 0.4j, atol=1e-12)
+    in_shaft_frame = (fx + 1j * fy) * np.exp(-1j * ANGLE)
+    np.testing.assert_allclose(in_shaft_frame, 0.3 - 0.4j, atol=1e-12)
 
 
 def harmonics(f: np.ndarray, n: int) -> np.ndarray:

@@ -85,8 +85,8 @@ def test_1x_is_forward_and_of_the_size_of_the_linear_response(name: str) -> None
 @pytest.mark.parametrize("shaft", ["chain", "beam"])
 @pytest.mark.parametrize("hz", [3.0, 80.0, 400.0])
 def test_a_bow_loads_the_caps_as_an_imbalance_of_its_eccentricity_at_every_speed(shaft: str, hz: float) -> None:
-    """Newton's law for the disc: what the caps feel of a bent shaft is the mass that it carries round. At the disc the
-    two differ by the bow itself, which is what is left of it at slow roll."""
+    """Newton's law for the disc: a bent shaft loads the caps as the mass that it carries round. At the disc the
+    two differ by the bow, which is the run-out at slow roll."""
     model = replace(rig(nodes=2), shaft=shaft, shaft_damping=0.0)
     assembled, keep, w = assemble(model), [0, 1, 2], 2 * np.pi * hz
     M, C, K = (A[np.ix_(keep, keep)] for A in (assembled.M, assembled.C, assembled.K))

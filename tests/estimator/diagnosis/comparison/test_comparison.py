@@ -86,7 +86,7 @@ def test_clipping_is_seen_in_the_raw_samples_and_a_gaussian_is_not_clipped() -> 
 
 @pytest.mark.parametrize("step", [1e-4, 0.01, 0.25])
 def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none(step: float) -> None:
-    """0.02 % of a record at one value made S 10 % too large, and was not told; a log marks them, other files do not."""
+    """0.02 % of a record at one value made S 10 % too large, without a word; a log marks them, other files do not."""
     y = np.round(np.random.default_rng(1).standard_normal(400_000) / step) * step
     assert clipping_level(y) is None
     if step < 0.1:  # a coarser step has as many samples beside the limit as at it

@@ -1,4 +1,4 @@
-"""A law found at both bearings stays at those where it is told, all of them fitted together."""
+"""A law found at both bearings stays at those where it is identifiable, all of them fitted together."""
 
 from __future__ import annotations
 

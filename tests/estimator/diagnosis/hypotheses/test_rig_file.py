@@ -1,4 +1,4 @@
-"""Mistakes in the rig file, told by the cross spectra of two bearings on one shaft."""
+"""Mistakes in the rig file, shown by the cross spectra of two bearings on one shaft."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_one_bearing_alone_has_no_witness() -> None:
     assert not coupling_hypotheses(replace(model, channels=model.channels[:1]))
 
 
-def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -> None:
+def test_a_mass_of_twice_its_value_is_named_and_a_true_rig_file_is_left_alone() -> None:
     true = replace(coupled(), band=(600.0, 2400.0))
     y = simulate(true, RATE_HZ, 3.0, seed=3, noise=0.02)
     trial = likeliest_mistake(true, y, RATE_HZ)
@@ -107,7 +107,7 @@ def test_a_mass_of_twice_its_value_is_told_and_a_true_rig_file_is_left_alone() -
 
 
 @pytest.mark.slow
-def test_an_inverted_channel_is_told_beside_structural_modes() -> None:
+def test_an_inverted_channel_is_named_beside_structural_modes() -> None:
     true = replace(coupled(), band=(600.0, 2400.0))
     y = simulate(with_support_modes(true), RATE_HZ, 3.0, seed=3, noise=0.02)
     y[:, 0] *= -1.0

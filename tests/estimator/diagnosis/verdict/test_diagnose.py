@@ -142,16 +142,16 @@ def test_a_law_that_turns_with_the_shaft_stands_beside_strikes_that_are_less_cer
     assert found.verdict == "local_defect", "a harmonic of the strikes"
 
 
-@pytest.mark.parametrize(("order", "told"), [(3.60, 3.60), (7.17, 3.585)])
-def test_the_order_of_a_defect_is_that_of_the_strikes(order: float, told: float) -> None:
+@pytest.mark.parametrize(("order", "reported"), [(3.60, 3.60), (7.17, 3.585)])
+def test_the_order_of_a_defect_is_that_of_the_strikes(order: float, reported: float) -> None:
     """A force at every second harmonic has twice the order."""
     advice = Message("found_where", f"impacts at {order} x shaft speed")
     parameters = {"bearing1.y.local_defect.order": Parameter(order, 0.01, "1")}
     own = replace(entry("local_defect"), parameters=parameters, notes=(advice,))
     found = verdict(BearingJudgement("local_defect", (own,), messages=own.notes), strikes(order=3.585))
     assert found.verdict == found.ranking[0].effect == "local_defect"
-    assert found.ranking[0].parameters["bearing1.y.local_defect.order"].value == told
-    assert (advice in found.messages) is (told == order)
+    assert found.ranking[0].parameters["bearing1.y.local_defect.order"].value == reported
+    assert (advice in found.messages) is (reported == order)
     assert sum(e.effect == "local_defect" for e in found.ranking) == 1
 
 

@@ -56,7 +56,7 @@ def having(rig: Model, use: EffectUse) -> Model:
     return replace(rig, effects=(*rig.effects, use))
 
 
-def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model) -> None:
+def test_what_is_named_and_not_identifiable_is_not_added(rig: Model) -> None:
     """A diagnosis may be wrong, as beside masses that are not known: then it was the law ahead, of no known size."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), free=(True,))
@@ -151,18 +151,18 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
     y = simulate(given, RATE, 2.0, seed=4, noise=NOISE)
     soft = {"bearing1.x": given.linear["bearing1.x"] | {"kL": Setting(1e4)}}
     astray = having(replace(given, linear=soft), EffectUse("cubic", {"bearing1.x": {"kNL": Setting(-1e20)}}))
-    begun: list[tuple[Model, bool]] = []
+    starts: list[tuple[Model, bool]] = []
 
     def fitted(model: Model, y: NDArray[np.float64], rate_hz: float) -> FullFit:
-        begun.append((model, model.linear == given.linear))
-        if not begun[-1][1]:
+        starts.append((model, model.linear == given.linear))
+        if not starts[-1][1]:
             raise DataError("no resonance of bearing1.x inside the band")
         return fit_all_effects(model, y, rate_hz)
 
     found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
     whole = refitted_with_found(astray, given, found, y, RATE, fitted)
-    assert [sound for _, sound in begun] == [False, True]
-    assert [use.name for use in begun[1][0].effects] == ["cubic", "sensor_noise"]
+    assert [sound for _, sound in starts] == [False, True]
+    assert [use.name for use in starts[1][0].effects] == ["cubic", "sensor_noise"]
     assert whole.parameters["bearing1.x.kL"].value == pytest.approx(1e7, rel=0.01)
     with pytest.raises(DataError):
         refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE, fitted)
@@ -286,7 +286,7 @@ def unlisted(rig: Model, name: str) -> tuple[EffectUse, EffectUse]:
     elif name == "ripple":
         law = "a*sin(x/g)"
         true, typed = {"a": (0.12 * force, "N"), "g": (0.6 * x, "m")}, {"a": (0.01, "N"), "g": (0.75 * x, "m")}
-    else:  # a smooth odd curve drawn at random, the user knows where it bends
+    else:  # a smooth odd curve drawn at random, the user knows where it curves
         b, c, d = np.random.default_rng(5).uniform(0.6, 1.6, 3) * x
         law = f"a*sin(x/{b:.6g}) + q*x/(1 + (x/{c:.6g})**4) + h*tanh((x/{d:.6g})**3)"
         true = {"a": (0.1 * force, "N"), "q": (-0.2 * force / x, "N/m"), "h": (0.1 * force, "N")}

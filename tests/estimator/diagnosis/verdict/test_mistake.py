@@ -16,5 +16,5 @@ from estimator.diagnosis.verdict.mistake import is_sure
 def test_a_factor_is_a_common_slip_that_gains_what_ten_modes_cost(
     values: tuple[float, ...], gain_nats: float, sure: bool
 ) -> None:
-    """A complete rig was told that its cap has 1.7 times the mass, by 29 nats: a mode of a support was not found."""
+    """A complete rig was said to have a cap of 1.7 times the mass, by 29 nats: a mode of a support was not found."""
     assert is_sure(Mistake(hypothesis=ScaledMass(key="bearing1"), values=values, gain_nats=gain_nats)) is sure

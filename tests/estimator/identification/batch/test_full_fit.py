@@ -94,7 +94,7 @@ def test_what_a_record_does_not_have_is_said(rig: Model) -> None:
 
 @pytest.mark.slow
 def test_forces_that_the_bearings_share_leave_nothing_once_they_are_in_the_model() -> None:
-    """ln(1 - rho^2) nats a bin and pair are won; the motion of the other bearing no longer tells of the force."""
+    """ln(1 - rho^2) nats a bin and pair are won; the motion of the other bearing no longer depends on the force."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     y = record(rig, "correlated_force", 0.06, seconds=8.0)
     (rho,) = strengths(CATALOGUE["correlated_force"], size(rig, "bearing1.x", RATE), 0.06, rig, 8.0).values()
@@ -129,7 +129,7 @@ def test_a_coloured_force_and_a_pedestal_do_not_take_from_each_other(rig: Model)
 
 
 @pytest.mark.slow
-def test_what_cannot_be_told_apart_is_used_and_not_shown(rig: Model) -> None:
+def test_what_is_not_identifiable_is_used_and_not_shown(rig: Model) -> None:
     """A sensor's resonance above the band: many pairs of frequency and quality do; the best one whitens the force."""
     y = record(rig, "sensor_resonance", 0.02, seconds=20.0)
     added = replace(rig, effects=(*rig.effects, EffectUse("sensor_resonance", {"bearing1.x": {}, "bearing1.y": {}})))

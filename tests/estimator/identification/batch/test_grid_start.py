@@ -96,6 +96,6 @@ def test_a_typed_law_of_three_searched_numbers_may_be_far_off() -> None:
     truth = replace(rig, effects=(*rig.effects, Rig.parse(text + HUMP).model.effects[-1]))
     y = simulate(truth, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5)
     typed = HUMP.replace("3e6", "1e6").replace("3e-7", "1.5e-6").replace("1.2e-7", "0.6e-7").replace("2e-3", "6e-3")
-    begun = replace(rig, effects=(*rig.effects, Rig.parse(text + typed).model.effects[-1]))
-    found, best = (fit_all_effects(model, y, RATE).point.fit.log_likelihood for model in (begun, truth))
+    started = replace(rig, effects=(*rig.effects, Rig.parse(text + typed).model.effects[-1]))
+    found, best = (fit_all_effects(model, y, RATE).point.fit.log_likelihood for model in (started, truth))
     assert abs(found - best) < 2.0

@@ -1,4 +1,4 @@
-"""Noise that is white in the unit of a sensor grows with frequency as a force: so it is told from a shaped force."""
+"""Noise that is white in the unit of a sensor grows with frequency as a force, unlike a shaped force."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def test_a_stiffness_that_the_rig_file_fixes_is_kept(record: np.ndarray) -> None
     assert found["bearing1.x.c"].value == pytest.approx(60.0, rel=0.06)
 
 
-def test_a_record_in_pieces_is_told_from_a_short_one(record: np.ndarray) -> None:
+def test_a_record_in_pieces_is_distinguished_from_a_short_one(record: np.ndarray) -> None:
     holed = record.copy()
     holed[::6000] = np.nan
     with pytest.raises(DataError, match=r"too few stretches of 0.64 s without a .* 12 are needed"):

@@ -1,4 +1,4 @@
-"""Numbers beside masses that the rig file leaves out and the shaft tells."""
+"""Numbers beside masses that the rig file leaves out and the shaft gives."""
 
 from __future__ import annotations
 

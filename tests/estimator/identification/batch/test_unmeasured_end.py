@@ -19,7 +19,7 @@ def rig() -> Model:
     return load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
 
 
-def test_only_a_stiff_shaft_with_one_end_measured_is_told(rig: Model) -> None:
+def test_only_a_stiff_shaft_with_one_end_measured_has_a_message(rig: Model) -> None:
     kL = {place: rig.linear[place]["kL"].value or 0.0 for place in rig.places}
     first = replace(rig, channels=tuple(c for c in rig.channels if c.node == "bearing1"))
     own = {place: kL[place] for place in first.places}

@@ -19,7 +19,7 @@ MODEL = Model(channels=(Channel("y", "bearing1", "y"),), band=(500.0, 4000.0), s
 
 
 def noise(seed: int) -> Array:
-    """Noise of a housing with two modes, standard deviation 1, beside a weak 1X that tells the speed."""
+    """Noise of a housing with two modes, standard deviation 1, beside a weak 1X that shows the speed."""
     rows = int(RATE_HZ * SECONDS)
     white = np.random.default_rng(seed).standard_normal((3, rows))
     modes = sum(fftconvolve(w, ring(hz))[:rows] for w, hz in zip(white, (900.0, 3100.0), strict=False))

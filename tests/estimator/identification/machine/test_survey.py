@@ -104,7 +104,7 @@ def test_a_comb_at_the_end_of_what_a_nameplate_allows_is_no_speed() -> None:
         assert speed.source == source
 
 
-def test_a_wrong_rate_is_told_from_a_wrong_speed_by_the_mains() -> None:
+def test_a_wrong_rate_is_distinguished_from_a_wrong_speed_by_the_mains() -> None:
     n = int(10 * RATE_HZ)
     x = coloured_noise(n) + sum(tone(0.976 * hz, 0.2, n) for hz in (25.0, 50.0, 60.0, 120.0))
     (said,) = [m for m in survey_of(x).messages if m.code.endswith("contradicted")]

@@ -44,7 +44,7 @@ def record(rig: Model) -> np.ndarray:
 
 
 def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
-    """Between pulses the angle bends by up to 0.03 rad, which smears short strikes: on straight lines they were 24 %
+    """Between pulses the angle curves by up to 0.03 rad, which smears short strikes: on straight lines they were 24 %
     too weak and wide, and after two steps from the mean over all periods still some per cent."""
     rig = one_bearing()
     rig = replace(rig, channels=(rig.channels[0], Channel("tacho", "", "", "tacho")), effects=(), speed_rpm=None)

@@ -33,7 +33,7 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
     assert ratio.max() < 15.0
 
 
-def test_a_resonance_as_narrow_as_a_few_bins_is_told_from_a_line_by_its_neighbours() -> None:
+def test_a_resonance_as_narrow_as_a_few_bins_is_distinguished_from_a_line_by_its_neighbours() -> None:
     """Of 0.15 % damping, a disc's on its shaft: the largest of the bins in its width may have the shape of a line."""
     rate, seconds, hz, loss = 1000.0, 60.0, 180.0, 1.5e-3
     rig = replace(one_bearing(), channels=one_bearing().channels[:1])
@@ -57,7 +57,7 @@ def test_a_resonance_as_narrow_as_a_few_bins_is_told_from_a_line_by_its_neighbou
 
 
 @pytest.mark.slow
-def test_hum_of_the_sensors_is_told_from_a_force_where_the_channels_tell_it() -> None:
+def test_hum_of_the_sensors_is_distinguished_from_a_force_where_the_channels_show_it() -> None:
     rig = one_bearing()  # stiffness in x and y 8 % apart
     y = simulate(rig, RATE, 8.0, seed=2, noise=0.02, full_scale=490.5)
     hum = 0.3 * np.cos(2 * np.pi * 250.0 * np.arange(len(y)) / RATE)[:, None]
@@ -193,7 +193,7 @@ def test_a_line_at_both_bearings_is_no_common_force_and_no_colour(strength: floa
 
 
 def test_the_noise_about_a_line_is_that_at_its_frequency_where_it_rises_steeply() -> None:
-    """Noise of an accelerometer, heard as a force, goes with f^-4 down to where no force is inferred. Seven times too
+    """Noise of an accelerometer, referred to force, goes with f^-4 down to where no force is inferred. Seven times too
     little was thought to be about 3.5 Hz, beside a measured force: a line with 55 % of the force."""
     k = np.arange(1, 4000)
     expected = np.append(0.0, np.where(k >= 120, k**-4.0, 0.0))

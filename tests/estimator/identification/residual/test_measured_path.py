@@ -1,4 +1,4 @@
-"""Beside a measured force: a faulty sensor bends the path from force to motion; a periodic force that is not in the
+"""Beside a measured force: a faulty sensor biases the path from force to motion; a periodic force that is not in the
 channel stands in what it leaves. Checked on records made in the frequency domain, not by our simulator."""
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Sensor = Callable[[Array], Array]
 PLACE = "bearing1.x"
 
 
-def heard(name: str, *p: float) -> Sensor:
+def sensor_with(name: str, *p: float) -> Sensor:
     """The catalogue's own sensor effect."""
     apply = CATALOGUE[name].apply
     assert apply is not None
@@ -40,7 +40,7 @@ HIDDEN = {
 
 
 def made(name: str, seed: int = 3) -> Array:
-    return record(seed=seed, sensor=heard(name, *HIDDEN[name]))
+    return record(seed=seed, sensor=sensor_with(name, *HIDDEN[name]))
 
 
 def given(name: str) -> Model:
@@ -87,10 +87,10 @@ def test_a_complete_model_has_no_suspect(seed: int) -> None:
 
 
 def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The steps of a simulation make one of 0.04 %, which beside much damping is a force worth a name."""
+    """The steps of a simulation make one of 0.04 %, which beside much damping is a force large enough for a name."""
     monkeypatch.setattr(measured_path, "LIMITS", replace(measured_path.LIMITS, negligible_force_share=1e-4))
     for error, claimed in ((1.5e-3, False), (3e-3, True)):
-        y = record(seed=3, sensor=heard("sensor_gain", error))
+        y = record(seed=3, sensor=sensor_with("sensor_gain", error))
         found = search(RIG, fit_all_effects(RIG, y, RATE).point, y)
         assert [s.effect for s in found][:1] == ["sensor_gain"] * claimed
 
@@ -126,7 +126,7 @@ def test_as_much_noise_of_the_force_sensor_is_said_with_what_it_does_to_the_damp
 
 
 def test_a_gain_beside_a_force_that_is_not_measured() -> None:
-    y = record(seed=3, unseen=unseen, sensor=heard("sensor_gain", 0.05))
+    y = record(seed=3, unseen=unseen, sensor=sensor_with("sensor_gain", 0.05))
     first = search(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
     assert first.effect == "sensor_gain"
     error = first.settings[PLACE]["error"]
@@ -147,7 +147,7 @@ def test_a_line_of_the_measured_force_is_no_finding() -> None:
     def tone(t: Array) -> Array:
         return 3.0 * np.cos(2 * np.pi * 743.21 * t)
 
-    for sensor in (heard("sensor_gain", 0.0), heard("sensor_gain", 0.05)):
+    for sensor in (sensor_with("sensor_gain", 0.0), sensor_with("sensor_gain", 0.05)):
         y = record(seed=1, force=tone, sensor=sensor)
         assert "line" not in [s.effect for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)]
 
@@ -199,8 +199,8 @@ def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without()
 
 @pytest.mark.parametrize("made", ["pedestal", "sensor_resonance"])
 def test_what_only_bends_the_path_is_unknown(made: str) -> None:
-    bent = {"pedestal": (0.4, 2000.0, 0.05)} if made == "pedestal" else {"sensor": heard(made, 9600.0, 10.0)}
-    y = record(seed=3, **bent)  # type: ignore[arg-type]
+    hidden = {"pedestal": (0.4, 2000.0, 0.05)} if made == "pedestal" else {"sensor": sensor_with(made, 9600.0, 10.0)}
+    y = record(seed=3, **hidden)  # type: ignore[arg-type]
     (found,) = search(RIG, fit_all_effects(RIG, y, RATE).point, y)
     assert found.effect == "unknown"
     assert "does not follow the measured force" in found.region
@@ -215,13 +215,13 @@ def rippled() -> Array:
 
 
 @pytest.mark.slow
-def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_unknown() -> None:
+def test_a_path_that_is_biased_by_nothing_of_the_catalogue_is_unknown() -> None:
     y = rippled()
     assert [s.effect for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)] == ["unknown"]
 
 
 @pytest.mark.slow
-def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_not_called_complete() -> None:
+def test_a_path_that_is_biased_by_nothing_of_the_catalogue_is_not_called_complete() -> None:
     said = diagnose(RIG, rippled(), RATE)
     assert said.verdict == "unknown"
     assert any("does not follow the measured force" in m.text for m in said.messages)

@@ -17,7 +17,7 @@ RATE_HZ, BLOCK, HOUR_S = 8192.0, 2048, 3600.0
 Answer = Callable[["partial[FoundBackground | None]"], FoundBackground | None]
 
 
-def begun_s(answer: Answer) -> list[float]:
+def starts_s(answer: Answer) -> list[float]:
     """When searches begin in an hour of a force that is not white, s."""
     seen, out = 0, []
 
@@ -37,7 +37,7 @@ def begun_s(answer: Answer) -> list[float]:
 
 
 def test_the_next_search_comes_after_twice_the_time_where_nothing_was_found() -> None:
-    at = begun_s(lambda search: None)
+    at = starts_s(lambda search: None)
     assert at[0] == pytest.approx(6.0, abs=0.5)
     assert len(at) <= np.log2(HOUR_S / at[0]) + 1
 
@@ -51,7 +51,7 @@ def test_searches_that_are_given_up_take_no_more_than_their_share_of_a_core() ->
         with suppress(SearchTooLongError):
             work.add(10**12)
 
-    at = begun_s(endless)
+    at = starts_s(endless)
     spent = np.cumsum(limits)
     assert np.all(spent <= LIMITS.max_core_share * np.array(at))
     assert len(at) < 15
@@ -64,7 +64,7 @@ def test_parts_that_agree_are_searched_as_one() -> None:
         wholes.append(search.args[1])
         return FoundBackground({"bearing1.x": 1e6})
 
-    begun_s(same)
+    starts_s(same)
     assert wholes[:5] == [False] * 4 + [True]
 
 
@@ -76,5 +76,5 @@ def test_parts_that_differ_are_not() -> None:
         wholes.append(search.args[1])
         return FoundBackground({"bearing1.x": float(next(stiffness))})
 
-    begun_s(other)
+    starts_s(other)
     assert not any(wholes)

@@ -57,9 +57,9 @@ def rolled(model: Model, y: np.ndarray) -> list[Estimate]:
 def test_a_run_up_does_not_disturb_the_estimate() -> None:
     """The shaft's tenth order, forty times the random force in its bin, rises through the band."""
     quiet = rolled(rig_model("cubic"), rig_record(SECONDS, seed=4))
-    turning = rig_record(SECONDS, seed=4, run_up=RUN_UP)
-    tacho = np.column_stack([turning, pulses(SECONDS)])
-    for y, model in ((turning, rig_model("cubic")), (tacho, with_tacho(rig_model("cubic")))):
+    run_up = rig_record(SECONDS, seed=4, run_up=RUN_UP)
+    tacho = np.column_stack([run_up, pulses(SECONDS)])
+    for y, model in ((run_up, rig_model("cubic")), (tacho, with_tacho(rig_model("cubic")))):
         estimates = rolled(model, y)
         for now, expected in zip(estimates, quiet, strict=True):
             assert bool(now.parameters) == bool(expected.parameters)

@@ -56,8 +56,8 @@ def test_structural_modes_are_found_and_leave_stiffness_and_damping_right() -> N
         assert parameter.sd is not None
         assert abs(parameter.value - true) < 4.0 * parameter.sd
         assert parameter.sd < 0.1 * true
-    told = next(m.text for m in found.messages if m.code == "structural_modes")
-    assert any(f"{hz}" in told for hz in range(287, 294))
+    text = next(m.text for m in found.messages if m.code == "structural_modes")
+    assert any(f"{hz}" in text for hz in range(287, 294))
     assert compare(rig(), y, RATE_HZ).adequate
 
 
@@ -97,12 +97,12 @@ def test_an_unknown_filter_is_a_fall_of_the_force_spectrum_and_no_mode() -> None
         parameter = found.parameters[f"bearing1.x.{name}"]
         assert parameter.value is not None
         assert parameter.value == pytest.approx(true, rel=0.05)
-    told = next(m.text for m in found.messages if m.code == "structural_modes")
-    assert len(told.split(",")) == 2, told
+    text = next(m.text for m in found.messages if m.code == "structural_modes")
+    assert len(text.split(",")) == 2, text
 
 
 def test_a_filter_near_the_upper_edge_of_the_band_is_no_mode_there() -> None:
-    """The flank of a mode above the edge cannot be told from a fall of the force."""
+    """The flank of a mode above the edge is not identifiable beside a roll-off of the force."""
     sos = butter(8, 1900.0, output="sos", fs=RATE_HZ)
     background = fit_all_effects(rig(), sosfilt(sos, record_with_modes(16.0), axis=0), RATE_HZ).model.background
     assert background is not None

@@ -84,8 +84,8 @@ def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> No
 
 @pytest.mark.slow  # ten seconds: the stiff shaft beside the case of one cap above
 def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
-    """A pedestal whose bearing has a negative damping explained most of it; weighed as white it passed for what follows
-    the other cap. Filtered is the motion by one force alone, as the rotor is linear."""
+    """A pedestal whose bearing has a negative damping explained most of it; whitened as white it passed for what
+    follows the other cap. Filtered is the motion by one force alone, as the rotor is linear."""
     rig = replace(coupled_on_a_stiff_shaft(), effects=())
     alone = {p: own if p == "bearing1.x" else own | {"S": Setting(1e-14)} for p, own in rig.linear.items()}
     one = simulate(replace(rig, linear=alone), RATE, 12.0, seed=1, noise=0.0)
@@ -171,7 +171,7 @@ def test_modes_of_all_caps_beside_a_stiff_shaft_are_found_together() -> None:
 
 @pytest.mark.slow
 def test_a_pedestal_is_found_where_it_does_not_stand_out_by_itself() -> None:
-    """The other direction's is plain; this one's is lost in the many cells of the spectrum, though worth many nats."""
+    """The pedestal of the other direction is plain. This one gains many nats, but is lost in the many cells."""
     rig = one_bearing()
     f0 = np.sqrt(1e7 / 0.2) / (2 * np.pi)
     own = {

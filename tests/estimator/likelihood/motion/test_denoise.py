@@ -35,7 +35,7 @@ def measured_by(kind: str, x: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["velocity", "acceleration"])
-def test_the_error_is_as_said_and_tells_nothing_of_what_is_seen(kind: str) -> None:
+def test_the_error_is_as_said_and_independent_of_what_is_seen(kind: str) -> None:
     rng, x = np.random.default_rng(1), oscillator(60.0, 1)
     model = Model((Channel("d", "bearing1", "x", kind),), (10.0, 300.0), "none", {"bearing1": 1.0})
     measured = measured_by(kind, x)

@@ -135,5 +135,5 @@ def test_part_of_a_record_has_the_response_of_the_values_it_is_at() -> None:
     responses = [{t.name: t.memory.get(0) for t in point_on_part(one, 6.0).regressors} for one in (point, after)]
     k, slip = law.name(0), law.name(1)
     changed = responses[1][k] - responses[0][k]
-    told = 0.1 * law.p[1] / law.p[0] * 0.5 * (responses[0][slip] + responses[1][slip])
-    assert np.linalg.norm(changed - told) < 0.2 * np.linalg.norm(told)
+    expected = 0.1 * law.p[1] / law.p[0] * 0.5 * (responses[0][slip] + responses[1][slip])
+    assert np.linalg.norm(changed - expected) < 0.2 * np.linalg.norm(expected)

@@ -64,14 +64,14 @@ def test_the_force_is_that_of_the_periodic_disc(share: float) -> None:
     def g(t: float) -> float:
         return float(p[0] + p[1] * np.cos(turn * t) + p[2] * np.sin(turn * t))
 
-    def pushed(t: float, s: float) -> float:
+    def parametric(t: float, s: float) -> float:
         return g(t) * (s + float(np.real(S0 @ np.exp(1j * w * t))))
 
     found = solve_ivp(
-        lambda t, z: [z[1], (pushed(t, z[0]) - seen.C * z[1] - seen.K * z[0]) / seen.m], (0.0, t[-1]), [0.0, 0.0],
+        lambda t, z: [z[1], (parametric(t, z[0]) - seen.C * z[1] - seen.K * z[0]) / seen.m], (0.0, t[-1]), [0.0, 0.0],
         t_eval=t, rtol=1e-9, atol=1e-16, method="DOP853",
     )  # fmt: skip
-    exact = [0.5 * (pushed(a, s) - seen.C * v - seen.K * s) for a, s, v in zip(t, *found.y, strict=True)]
+    exact = [0.5 * (parametric(a, s) - seen.C * v - seen.K * s) for a, s, v in zip(t, *found.y, strict=True)]
     force, _ = shaft_force(CRACK, p, data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
     assert np.std(force - exact) < 2e-3 * np.std(exact)
 

@@ -38,7 +38,7 @@ def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
 
 
 def test_noise_does_not_rise_with_the_force() -> None:
-    """Taken to, it was 28 % too strong; where it rules, laws beside it were bent (clearance: a third of the missing
+    """Taken to, it was 28 % too strong; where it rules, laws beside it were biased (clearance: a third of the missing
     force was left)."""
     rig = replace(one_bearing(), effects=())
     ramp = np.geomspace(1.0, 3.0, round(8.0 * RATE))[:, None]

@@ -12,7 +12,7 @@ from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.whitening.determinant import Jacobian
 
 
-def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents() -> None:
+def test_columns_that_cancel_are_not_separated_by_the_error_of_their_tangents() -> None:
     """Two columns alike to 1e-4, with mean tangents known to 3 %: their difference moves nothing but the determinant.
 
     A law of three parameters beside hat functions was such a case: 23,000 nats gained and 11 % of the force missing

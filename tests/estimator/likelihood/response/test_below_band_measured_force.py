@@ -61,7 +61,7 @@ def rig(effects: tuple[EffectUse, ...] = ()) -> Model:
 
 
 @pytest.mark.parametrize("k5", [0.0, K5])
-def test_the_force_tells_what_the_accelerometer_does_not(k5: float) -> None:
+def test_the_force_gives_the_motion_that_the_accelerometer_does_not(k5: float) -> None:
     x, y = record(k5)
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)

@@ -69,7 +69,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 
 
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
-def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
+def test_a_law_alone_is_corrected_per_unit_by_what_all_of_it_does(strong: Case) -> None:
     """Both tangents of a law beside itself have its amplitude."""
     point = strong[3]
     mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.rotor)
@@ -163,8 +163,8 @@ def test_friction_and_drag_where_a_cycle_has_eleven_samples(
 def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
     friction_and_drag: tuple[Model, np.ndarray, WorkingPoint],
 ) -> None:
-    """What drag beside friction is worth, by the two fits and by its column beside friction alone. With 2 log |det A|
-    of the dressed A for the value it was -13 nats for 10, and `improve` would not have added what is there."""
+    """The nats of drag beside friction, by the two fits and by its regressor beside friction alone. With 2 log |det A|
+    of the corrected A for the value the gain was -13 nats for 10, and `improve` would not have added what is there."""
     model, y, both = friction_and_drag
     alone = fit_all_effects(replace(model, effects=model.effects[:1]), y, SLOW).point
     trial = fitted_gain(alone, both.placed[1])
@@ -182,7 +182,7 @@ def test_a_damping_that_lets_nothing_move_has_lags_all_the_same() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fraction"), [("quadratic", 0.08), ("coulomb", 0.03)])
-def test_laws_at_a_cap_on_a_stiff_shaft_are_dressed_by_the_cap_on_its_shaft(name: str, fraction: float) -> None:
+def test_laws_at_a_cap_on_a_stiff_shaft_are_corrected_by_the_cap_on_its_shaft(name: str, fraction: float) -> None:
     """By the cap alone, at 800 Hz for 1250, or not at all as its modes last longer, these were 5 to 14 % off in another
     simulator, and most of what they explain was found again beside them."""
     rig = replace(coupled_on_a_stiff_shaft(), effects=(), mass={"disc": 0.69, "bearing1": 0.16, "bearing2": 0.2})
@@ -204,9 +204,9 @@ def test_laws_at_a_cap_on_a_stiff_shaft_are_dressed_by_the_cap_on_its_shaft(name
     assert abs(np.mean(scores)) < 2.2
 
 
-def test_a_mode_that_rings_on_with_little_of_the_motion_does_not_keep_friction_from_being_dressed() -> None:
+def test_a_mode_that_rings_on_with_little_of_the_motion_does_not_keep_friction_from_being_corrected() -> None:
     """1.3 % of what white force makes of a cap lay in a resonance of the disc that falls by e in 0.8 s, and nothing was
-    dressed: the friction came out 20 to 30 % too strong and the damping below zero."""
+    corrected: the friction came out 20 to 30 % too strong and the damping below zero."""
     rig = coupled_on_a_stiff_shaft()
     rig = replace(
         rig, effects=(), shaft="beam", shaft_stiffness=3.94e5, shaft_damping=0.25,

@@ -56,9 +56,9 @@ def test_an_impulse_is_followed_as_by_the_matrix_exponential() -> None:
     K = np.diag([*D[[0, 1], [0, 1], 0], 0.0]) + shaft_matrix("chain", KS)
     C = np.diag([*D[[0, 1], [0, 1], 1], 0.0]) + shaft_matrix("chain", CS)
     free = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
-    pushed = np.zeros(6)
-    pushed[3] = 1.0 / MASS[0]
-    exact = np.array([expm(free * t) @ pushed for t in tau])[:, [0, 3]].T
+    impulse = np.zeros(6)
+    impulse[3] = 1.0 / MASS[0]
+    exact = np.array([expm(free * t) @ impulse for t in tau])[:, [0, 3]].T
     found = modal_responses(MASS[:2], D[:2, :2], rotor("chain", PLACES[:2]))[0].after(tau)
     assert np.abs(found - exact).max(axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(exact).max())
 
