@@ -91,7 +91,7 @@ def shaft_scale(model: Model, apart: WorkingPoint, unknown: Sequence[str]) -> Sh
 
 def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> Solution | None:
     """The likeliest problem and point of several start masses, with the background that they need."""
-    least = STRUCTURE_LIMITS.min_gain_nats * force_dispersion(apart)
+    cost_nats = STRUCTURE_LIMITS.min_gain_nats * force_dispersion(apart)
     if not problem.loose:
         starts = [problem.maximised(start_values(problem, apart))]
     else:
@@ -100,10 +100,10 @@ def _likeliest(model: Model, problem: JointSpectrum, apart: WorkingPoint) -> Sol
     found = []
     for start in starts:
         try:
-            found.append(search_background(problem, start, least))
+            found.append(search_background(problem, start, cost_nats))
         except np.linalg.LinAlgError:
             continue
-    return max(found, key=lambda one: score_nats(one, least)) if found else None
+    return max(found, key=lambda one: score_nats(one, cost_nats)) if found else None
 
 
 def _started(model: Model, problem: JointSpectrum, apart: WorkingPoint, share: float) -> JointPoint | None:

@@ -105,56 +105,56 @@ def _of_direction(
     their spectra.
     """
     problem = replace(spectral_problem(model, point, measured_spectra(model, point, places)), work=work)
-    least = LIMITS.min_gain_nats * force_dispersion(point)
+    cost_nats = LIMITS.min_gain_nats * force_dispersion(point)
     try:
         if (known := with_known_background(problem, point, model.background)) is not None:
             problem, found = known
-            problem, found = search_background(problem, without_idle_modes(problem, found, least), least)
-            gained = least
+            problem, found = search_background(problem, without_idle_modes(problem, found, cost_nats), cost_nats)
+            gained = cost_nats
         else:
             first = problem.maximised(start_values(problem, point))
             if thorough and _leaves_unknown(problem, first):
-                problem, found = search_from_starts([smooth_start(problem, point), (problem, first)], least)
+                problem, found = search_from_starts([smooth_start(problem, point), (problem, first)], cost_nats)
             else:
-                problem, found = search_background(problem, first, least)
+                problem, found = search_background(problem, first, cost_nats)
             gained = found.log_likelihood - first.log_likelihood
     except np.linalg.LinAlgError:
         return {}, 0.0
-    if gained < least or float(problem.misfit(found).max()) > LIMITS.max_background_depth_rms:
+    if gained < cost_nats or float(problem.misfit(found).max()) > LIMITS.max_background_depth_rms:
         return {}, 0.0
     if not _resonates(problem, found):
         return {}, 0.0
     return dict(backgrounds(problem, found, point)), gained
 
 
-def search_from_starts(starts: Sequence[Solution], least: float) -> Solution:
+def search_from_starts(starts: Sequence[Solution], cost_nats: float) -> Solution:
     """The best problem and point of greedy searches from several starts, as their ends depend on the start.
 
-    A search from white forces follows where the others leave something to be explained. least : nats that a mode has to
-    gain.
+    A search from white forces follows where the others leave something to be explained. cost_nats : nats that a
+    mode has to gain.
     """
-    found = map_single_core([partial(search_background, *start, least, thorough=True) for start in starts])
+    found = map_single_core([partial(search_background, *start, cost_nats, thorough=True) for start in starts])
     if all(float(problem.misfit(point).max()) > LIMITS.explained_misfit for problem, point in found):
         problem, point = starts[0]
         white = replace(problem, octaves=np.inf, fall_power=0)
         first = white.maximised(white.respaced(point.values, problem))
-        found.append(search_background(white, first, least, thorough=True))
-    return max(found, key=lambda one: score_nats(one, least))
+        found.append(search_background(white, first, cost_nats, thorough=True))
+    return max(found, key=lambda one: score_nats(one, cost_nats))
 
 
 def search_background(
-    problem: JointSpectrum, point: JointPoint, least: float, thorough: bool = False
+    problem: JointSpectrum, point: JointPoint, cost_nats: float, thorough: bool = False
 ) -> Solution:  # fmt: skip
-    """The likeliest problem and point, modes and knots added while they gain `least` nats, and modes taken out.
+    """The likeliest problem and point, modes and knots added while they gain `cost_nats`, and modes taken out.
 
     The problem as it is where it explains the spectra, unless the search is to be thorough.
     """
     if not thorough and not _leaves_unknown(problem, point):
         return problem, point
     while True:
-        problem, point = _with_more(problem, point, least)
+        problem, point = _with_more(problem, point, cost_nats)
         before = point.values.modes
-        point = without_idle_modes(problem, _in_likelier_forms(problem, point, least), least)
+        point = without_idle_modes(problem, _in_likelier_forms(problem, point, cost_nats), cost_nats)
         if point.values.modes == before:
             return problem, point
 
@@ -164,8 +164,8 @@ def _leaves_unknown(problem: JointSpectrum, point: JointPoint) -> bool:
     return float(problem.misfit(point).max()) >= LIMITS.min_unknown_depth_rms
 
 
-def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> Solution:
-    """The likeliest problem and point, modes and knots added while they gain `least` nats."""
+def _with_more(problem: JointSpectrum, point: JointPoint, cost_nats: float) -> Solution:
+    """The likeliest problem and point, modes and knots added while they gain `cost_nats`."""
     octaves = [o for o in LIMITS.tried_knot_octaves if _least_octaves(problem, point) <= o < problem.octaves]
     while len(point.values.modes) < LIMITS.max_modes_per_cap * problem.mass.size:
         tried = list(_tried_modes(problem, point))
@@ -176,40 +176,40 @@ def _with_more(problem: JointSpectrum, point: JointPoint, least: float) -> Solut
         sound = [one for one in tried if _resonates(*one)]
         there, best = max(sound, key=lambda one: one[1].log_likelihood, default=(problem, point))
         best = there.maximised(best.values)
-        if best.log_likelihood - point.log_likelihood < least or not _resonates(there, best):
+        if best.log_likelihood - point.log_likelihood < cost_nats or not _resonates(there, best):
             break
         octaves = [o for o in octaves if o < there.octaves]
         problem, point = there, best
     return problem, point
 
 
-def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
+def _in_likelier_forms(problem: JointSpectrum, point: JointPoint, cost_nats: float) -> JointPoint:
     """The point with each mode under the bearing or on the cap, whichever is likelier, and all of a cap under it.
 
-    least : nats that a mode costs.
+    cost_nats : nats that a mode costs.
     """
     k = 0
     while k < len(point.values.modes):
-        point = _likelier(problem, point, in_other_form(problem, point.values, k), least)
+        point = _likelier(problem, point, in_other_form(problem, point.values, k), cost_nats)
         k += 1
     for cap in range(problem.mass.size):
         if sum(mode.cap == cap for mode in point.values.modes) > 1:
             for other in list(under_bearing(problem, point.values, cap)):
-                point = _likelier(problem, point, other, least)
+                point = _likelier(problem, point, other, cost_nats)
     return point
 
 
-def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, least: float) -> JointPoint:
+def _likelier(problem: JointSpectrum, point: JointPoint, other: JointValues, cost_nats: float) -> JointPoint:
     """The point, or the point reached from other values if that is likelier and each bearing resonates there.
 
     In its new form a mode may make another one idle.
     """
     found = problem.maximised(other)
-    if found.log_likelihood < point.log_likelihood - LIMITS.max_idle_modes * least:
+    if found.log_likelihood < point.log_likelihood - LIMITS.max_idle_modes * cost_nats:
         return point
     if found.log_likelihood < point.log_likelihood:
-        found = without_idle_modes(problem, found, least)
-    gained = score_nats((problem, found), least) - score_nats((problem, point), least)
+        found = without_idle_modes(problem, found, cost_nats)
+    gained = score_nats((problem, found), cost_nats) - score_nats((problem, point), cost_nats)
     return found if gained > LIMITS.tried_tolerance_nats and _resonates(problem, found) else point
 
 
@@ -228,10 +228,10 @@ def _resonances_hz(problem: JointSpectrum, point: JointPoint) -> Array:
     return np.asarray(np.sqrt(np.exp(point.values.stiffness) / problem.mass) / (2.0 * np.pi))
 
 
-def score_nats(solution: Solution, least: float) -> float:
+def score_nats(solution: Solution, cost_nats: float) -> float:
     """Nats of a solution, less the nats that its modes and the form of its force spectrum have to gain."""
     problem, point = solution
-    return point.log_likelihood - least * (len(point.values.modes) + problem.refinements)
+    return point.log_likelihood - cost_nats * (len(point.values.modes) + problem.refinements)
 
 
 def _sd_of_forms(problem: JointSpectrum, found: JointPoint, point: WorkingPoint) -> Array:
@@ -247,8 +247,8 @@ def _sd_of_forms(problem: JointSpectrum, found: JointPoint, point: WorkingPoint)
     return sd
 
 
-def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) -> JointPoint:
-    """The point without the modes that lose less than `least` nats when they are taken out."""
+def without_idle_modes(problem: JointSpectrum, point: JointPoint, cost_nats: float) -> JointPoint:
+    """The point without the modes that lose less than `cost_nats` when they are taken out."""
     J, _ = problem.score(point)
     sd = np.sqrt(np.abs(np.diag(np.linalg.pinv(products(J)))))
     mass_sd = sd[sd.size - 3 * len(point.values.modes) :].reshape(-1, 3)[:, 2]
@@ -257,7 +257,7 @@ def without_idle_modes(problem: JointSpectrum, point: JointPoint, least: float) 
             continue
         bare = problem.maximised(point.values.without_mode(k))
         sound = _resonates(problem, bare) or not _resonates(problem, point)
-        if sound and point.log_likelihood - bare.log_likelihood < least:
+        if sound and point.log_likelihood - bare.log_likelihood < cost_nats:
             point = bare
     return point
 
