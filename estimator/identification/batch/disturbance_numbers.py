@@ -63,7 +63,7 @@ def _has_force(use: EffectUse, model: Model) -> bool:
     return not measured_force_places(model).isdisjoint(at(NAMED[use.name], use, model))
 
 
-def is_undone_as_given(use: EffectUse, model: Model) -> bool:
+def is_corrected_as_given(use: EffectUse, model: Model) -> bool:
     """Whether an effect is a sensor response that is inverted at the values of the rig file, before any fit."""
     if use.name not in RESPONSE_EFFECTS or not _has_force(use, model):
         return use.name in GAIN_AND_DELAY
@@ -119,7 +119,7 @@ def _with_resolved_use(
                 found[name] = own[q.name]
                 setting = replace(setting, value=own[q.name].value)
             else:
-                blind = is_undone_as_given(use, model) and not is_identifiable_by_force(use, model)
+                blind = is_corrected_as_given(use, model) and not is_identifiable_by_force(use, model)
                 found[name] = _not_found(blind, q)
                 setting = setting if blind else replace(setting, value=None)
             new[key][q.name] = setting

@@ -37,8 +37,8 @@ from estimator.signals.shaft_angle import with_measured_speed
 from . import unknown_mass, upper_edge
 from .disturbance_numbers import (
     further_lines_found,
+    is_corrected_as_given,
     is_identifiable_by_force,
-    is_undone_as_given,
     parameters_have_moved,
     with_further_effects,
     with_resolved_parameters,
@@ -243,10 +243,10 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float) -> FullFit:
     uses = [u for u in model.effects if is_disturbance(u)]
     if not uses:
         return FullFit(model, fit_record(model, prepare(model, y, rate_hz)), disturbances={})
-    undone_uses = [u for u in uses if is_undone_as_given(u, model)]
-    bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone_uses))
+    corrected_uses = [u for u in uses if is_corrected_as_given(u, model)]
+    bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in corrected_uses))
     point = fit_record(bare, prepare(bare, y, rate_hz))
-    resolved_names = {u.name for u in uses if u not in undone_uses or not is_identifiable_by_force(u, model)}
+    resolved_names = {u.name for u in uses if u not in corrected_uses or not is_identifiable_by_force(u, model)}
     findings = search(bare, point, y)
     further = further_lines_found(model, findings)
     model, found = with_resolved_parameters(

@@ -79,7 +79,7 @@ def rolling_scope(model: Model) -> RollingScope:
             names = {q.name: f"{key}.{use.name}.{q.name}" for q in effect.parameters}
             held = _held_parameters(effect, model)
             missing = [name for name in held if own.get(name, Setting()).value is None]
-            if missing or not (_is_state_law(effect) or _is_undone_as_given(effect)):
+            if missing or not (_is_state_law(effect) or _is_corrected_as_given(effect)):
                 why = _reason_not_estimated(effect, missing)
                 not_estimated |= {
                     names[q.name]: Parameter(None, None, q.unit, identifiable=False, reason=why)
@@ -128,7 +128,7 @@ def _crack_is_felt(settings: Mapping[str, Setting], model: Model, place: str) ->
     return 0.5 * sum(abs(v or 0.0) for v in values) > LIMITS.min_crack_stiffness_rel * kL
 
 
-def _is_undone_as_given(effect: Effect) -> bool:
+def _is_corrected_as_given(effect: Effect) -> bool:
     """Whether an effect is a known shape of the excitation or a gain, inverted at the values of the rig file."""
     return effect.name in FORCE_SHAPES or effect.scales_channel
 
@@ -144,7 +144,7 @@ def _held_parameters(effect: Effect, model: Model) -> list[str]:
     A shaft order of a parametric stiffness is never searched: the first seconds do not give it well enough to keep the
     phase.
     """
-    if _is_undone_as_given(effect):
+    if _is_corrected_as_given(effect):
         return [q.name for q in effect.parameters]
     orders = [q for q in effect.parameters if q.scale == "bpfo" and not (q.linear or q.given)]
     return [q.name for q in orders if _is_state_law(effect) and kinematic(q.scale, model) is None]
