@@ -82,8 +82,8 @@ class BearingSurvey:
         """
         if self.part.data.background is None or not self._explained_by_states:
             return None
-        sure = [e for e in self.ranking.entries if is_sure_law(e)]
-        return next((e for e in sure[: LIMITS.max_fitted_laws] if self._holds_when_fitted(e)), None)
+        sure_laws = [e for e in self.ranking.entries if is_sure_law(e)]
+        return next((e for e in sure_laws[: LIMITS.max_fitted_laws] if self._holds_when_fitted(e)), None)
 
     def _holds_when_fitted(self, law: Entry) -> bool:
         """Whether a law still predicts, with a possible amplitude, when it is fitted together with the model."""

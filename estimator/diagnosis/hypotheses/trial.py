@@ -228,20 +228,20 @@ def with_borrowed_parameters(
         placed = replace(trial.placed, key=f"{location}.{trial.effect.name}", at=at)
         return repeated_trial(point, model, replace(trial, location=location, placed=placed))
 
-    def alike(one: Trial, other: Trial) -> bool:
+    def are_equal(one: Trial, other: Trial) -> bool:
         return bool(np.allclose(one.placed.p[loose], other.placed.p[loose]))
 
-    others = [moved(t, best.location) for t in trials if not alike(t, best)]
+    others = [moved(t, best.location) for t in trials if not are_equal(t, best)]
     best = max([best, *(t for t in others if t is not None)], key=lambda t: t.gain)
     out[best.location] = best
 
     def lent(location: str) -> Trial | None:
-        own = out.get(location)
-        if own is not None and alike(own, best):
-            return own
+        old = out.get(location)
+        if old is not None and are_equal(old, best):
+            return old
         new = moved(best, location)
-        least = -np.inf if own is None else own.gain - LIKELIHOOD_LIMITS.min_own_values_gain_nats
-        return own if new is None or new.gain <= least else new
+        least = -np.inf if old is None else old.gain - LIKELIHOOD_LIMITS.min_own_values_gain_nats
+        return old if new is None or new.gain <= least else new
 
     return [t for t in map(lent, locations) if t is not None]
 
