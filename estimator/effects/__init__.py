@@ -53,7 +53,7 @@ NAMED = CATALOGUE | MORE_LINES  # what a model's effects may be called
 
 
 def found_by(name: str) -> FoundBy:
-    """What the parameters of an effect of this name are estimated from; "law" for a user's own law.
+    """Data from which the parameters of an effect of this name are estimated; "law" for a user's own law.
 
     Parameters
     ----------

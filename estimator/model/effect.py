@@ -1,4 +1,4 @@
-"""What an effect is (the effect seam). One file in effects/ defines one `Effect`.
+"""Definition of an effect (the effect seam). One file in effects/ defines one `Effect`.
 
 Laws are scalar functions that numba can compile, with one signature for all, so that the simulator, the estimator's
 features and the report call the same text. All SI. Restoring convention (rig.py): M a + C v + K x + law = F.

@@ -143,7 +143,7 @@ class Rotor:
 
     @cached_property
     def direct(self) -> tuple[Array, Array, Array]:
-        """(P, P) of M, C and K of the caps beside what comes through the internal coordinates."""
+        """(P, P) of M, C and K of the caps, without the response through the internal coordinates."""
         P = len(self.places)
         M, C, K = (A[:P, :P] for A in (self.M, self.C, self.K))
         return M, C, K - self.C[:P, P:] @ np.linalg.solve(self.M[P:, P:], self.C[P:, :P])
@@ -183,7 +183,7 @@ class Rotor:
         return np.asarray(weights[:P] + (weights[P:] @ shapes / (1j * w[:, None] - p)) @ participation)
 
     def terms(self) -> tuple[Term, ...]:
-        """What comes through the internal coordinates as a sum of real matrices (P, P) times responses of f (Hz)."""
+        """Response through the internal coordinates as a sum of real matrices (P, P) times responses of f (Hz)."""
         p, R = self._modes[0], self._residues
         out: list[Term] = []
         done = p.imag < 0.0

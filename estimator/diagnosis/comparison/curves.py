@@ -1,4 +1,4 @@
-"""What a person looks at to see where a model fails: force against the states, with 95 % bands.
+"""Curves that show where a model fails: force against the states, with 95 % bands.
 
 Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (black_box.py).
 Residual: what the model leaves over, freed from what its own parameters could take over. Law: the whole restoring
@@ -66,7 +66,7 @@ class Shape(Curve):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Law(Curve):
-    """Restoring force (n,) N without its straight line: as measured, and the model's."""
+    """Restoring force (n,) N without its straight line: the measured one and that of the model."""
 
     measured: Array
     model: Array

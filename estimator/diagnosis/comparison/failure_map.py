@@ -17,7 +17,7 @@ SI_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 
 @dataclass(frozen=True, slots=True)
 class FailureRegion:
-    """Where a model fails.
+    """Region of a state in which a model fails.
 
     channel : name. against : state or "frequency", "time", ... that the missing force depends on. region : in words and
     units. share_percent : of the power of the missing force.
@@ -48,7 +48,7 @@ def failure_regions(point: WorkingPoint, found: MissingForce, channel: dict[str,
 
 
 def region_text(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
-    """Where in the state the missing force sits, in words and units."""
+    """Region of the state that holds the missing force, in words and units."""
     data, i = point.data, residual.place
     if group in ("displacement", "velocity"):
         unit = "m" if group == "displacement" else "m/s"
@@ -69,12 +69,12 @@ def region_text(point: WorkingPoint, residual: PlaceResidual, group: str) -> str
 
 
 def _round(value: float) -> str:
-    """Two figures, without a power of ten."""
+    """A number with two figures, without a power of ten."""
     return f"{float(f'{value:.2g}'):g}"
 
 
 def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
-    """The stretches that hold 70 % of the weight."""
+    """Stretches of a state that hold 70 % of the weight."""
     order = np.argsort(-weight)
     enough = int(np.searchsorted(np.cumsum(weight[order]), 0.7 * weight.sum())) + 1
     inside = np.zeros(at.size, bool)

@@ -35,7 +35,7 @@ LARGE_AMPLITUDES = "large amplitudes"  # name of the gate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateResult:
-    """What a gate says of a candidate.
+    """Answer of a gate on a candidate.
 
     Parameters
     ----------

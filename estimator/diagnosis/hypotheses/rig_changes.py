@@ -61,7 +61,7 @@ class Hypothesis(Protocol):
         ...
 
     def text(self, model: Model, values: Values) -> str:
-        """What to check, one line."""
+        """Advice on what to check, one line."""
         ...
 
 

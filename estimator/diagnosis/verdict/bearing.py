@@ -86,7 +86,7 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BearingJudgement(Judgement):
-    """What the bearing layer says of a record: the law that the model of the bearings lacks.
+    """Result of the bearing layer: the law that the model of the bearings lacks.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Improvement:
-    """What `improve` made of a model.
+    """Result of `improve`: the models and the last diagnosis.
 
     rungs : the model as it was, and after each effect added. model : the last model, with fitted values. parameters :
     of the last model, by full name, SI. last : the diagnosis that ended the improvement. messages : for the user.

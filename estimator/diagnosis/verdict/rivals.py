@@ -13,13 +13,13 @@ from .gates import INSIDE_LIMITS, LEAVES_LITTLE, Context
 
 
 def share_left(entry: Entry) -> float | None:
-    """What a candidate leaves of what it was to explain; None where the candidate did not come to that gate."""
+    """Share that a candidate leaves of what it was to explain; None where the candidate did not come to that gate."""
     last = entry.gates[-1] if entry.gates else None
     return last.measured if last is not None and last.gate == LEAVES_LITTLE and not last.passed else None
 
 
 def left_text(entry: Entry) -> str:
-    """What a candidate leaves of what it was to explain, per cent, for a message."""
+    """Share that a candidate leaves of what it was to explain, per cent, for a message."""
     return f"{100 * (share_left(entry) or 0.0):.0f} %"
 
 

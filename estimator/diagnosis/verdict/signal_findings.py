@@ -43,7 +43,7 @@ INTEGRATIONS_TO_VELOCITY = {  # by unit
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Thresholds:
-    """What a tone or a strike train has to show before it names an effect.
+    """Limits that a tone or a strike train has to pass before it names an effect.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ OPERATOR_SIGNS = {
 
 
 class ExpressionError(ModelError):
-    """What is wrong with an expression.
+    """An expression is wrong. The message says how.
 
     Parameters
     ----------

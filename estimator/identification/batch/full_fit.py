@@ -177,7 +177,7 @@ def _hysteresis_messages(point: WorkingPoint) -> tuple[Message, ...]:
 
 
 def _periodic_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
-    """What the fit leaves out of the periodic forces of a model: a changing speed, and motion below the band."""
+    """Messages on periodic forces that the fit leaves out: a changing speed, and motion below the band."""
     data, own = point.data, harmonics.periodic_effects(model)
     rows = np.linspace(0, data.phase.size - 1, LIMITS.speed_pieces + 1).astype(int)
     speed = np.diff(data.phase[rows]) / np.diff(data.t[rows])

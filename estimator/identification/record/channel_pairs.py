@@ -165,7 +165,7 @@ def _common_pieces(a: ChannelRecord, b: ChannelRecord) -> Iterator[tuple[Array, 
 
 
 def _same_dof(a: ChannelRecord, b: ChannelRecord, band: tuple[float, float]) -> list[RecordFinding]:
-    """What two sensors of one degree of freedom say of each other: b over a must be (j w)^(difference of order)."""
+    """Findings on two sensors of one degree of freedom: b over a must be (j w)^(difference of order)."""
     if (spectra := pair_spectra(a, b)) is None:
         return []
     use = (spectra.f >= band[0]) & (spectra.f <= min(band[1], 0.4 * a.rate_hz))

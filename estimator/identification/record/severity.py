@@ -48,7 +48,7 @@ class BandLevel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelSeverity:
-    """What an engineer reads first of a channel.
+    """Severity of vibration in one channel.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""What the residual force of a fitted model holds: predictable parts, lines, impact trains, a faulty measured path."""
+"""Contents of the residual force of a fitted model: predictable parts, lines, impact trains, a faulty force path."""

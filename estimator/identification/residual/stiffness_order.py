@@ -38,7 +38,7 @@ class StiffnessOrder:
 
 
 def lacks_stiffness_order(model: Model) -> bool:
-    """Whether the ball-pass order is to be found: the speed is known, and neither model nor laws have an order."""
+    """Whether the ball-pass order is to be searched: the speed is known, and neither model nor laws have an order."""
     orders = [
         own.get("order", Setting()).value
         for use in ball_pass_uses(model)

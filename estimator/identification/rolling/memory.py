@@ -11,7 +11,7 @@ from estimator.arrays import Array
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """What the likelihood needs of some blocks.
+    """Sums over some blocks that the likelihood needs.
 
     gram : (cells, places, 1 + k, 1 + k) products of the whitened residual force and the regressors, over the level.
     blocks : number of blocks. tangents : (k, places, places, 2) mean tangents of the regressors, scaled. mean_tangent :

@@ -33,7 +33,7 @@ WRITE_HINT = "rotorscope fit --out writes what it finds"
 
 @dataclass(frozen=True, slots=True)
 class RollingScope:
-    """What a rolling estimate does with each effect of a model.
+    """Treatment of each effect of a model in a rolling estimate.
 
     model : the model with the effects that are estimated or held at given numbers, and no other.
     not_estimated : parameters that are given, or left to a fit, by full name.

@@ -295,7 +295,7 @@ def _tried_modes(problem: JointSpectrum, point: JointPoint) -> Iterator[Solution
 
 
 def _scores(problem: JointSpectrum, point: JointPoint) -> Iterator[tuple[float, ModePlace, Array]]:
-    """What a mode would gain by its mass to first order, nats, at all frequencies and dampings of a grid."""
+    """Nats that a mode would gain by its mass to first order, at all frequencies and dampings of a grid."""
     J, r = problem.score(point)
     spectra, s = problem.spectra, point.s
     R = problem.matrices(r - np.linalg.lstsq(products(J), J @ r, rcond=1e-10)[0] @ J)

@@ -93,7 +93,7 @@ class PolePoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceStructure:
-    """What the spectrum of one place holds.
+    """Modes and excitation in the spectrum of one place.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class Jacobian:
         return others.astype(np.int64), np.asarray(follow, dtype=np.complex128)
 
     def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
-        """What tangents (k, all places, all places, bins) of forces at some places add to the A0 of these places."""
+        """Additions of tangents (k, all places, all places, bins) of forces at some places to A0 of these places."""
         own = tangents[:, places][:, :, places]
         response = self._of(places)[1]
         if response is None:
