@@ -1,7 +1,7 @@
 """Vector .asc: classic and FD frames by number or by the name of the message; times absolute or relative.
 
-Other events (status, statistics, other buses, comments) are known by their first words and left out as they should be;
-what may be a damaged frame is told. A trigger block that begins again at zero is placed by its date.
+Other events (status, statistics, other buses, comments) are recognised by their first words and left out. A line that
+may be a damaged frame is counted as damage. A trigger block that restarts at zero is placed by its date.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drivers.contract.errors import LinkOpenError
 from .capture_batches import LARGEST_ID, LATEST_NS, Batch, Collector
 from .text_lines import bounded, open_text
 
-SEAM_NS = 1_000_000_000  # between two trigger blocks of which nothing says how far they are apart
+SEAM_NS = 1_000_000_000  # between two trigger blocks whose distance is unknown
 _STAMP_FORM = r"(-?\d+[.,]\d+)"
 _CLASSIC_LINE = re.compile(_STAMP_FORM + r"\s+(\d+)\s+(\S+)\s+(Rx|Tx|TxRq)\s+([dr])\b\s*(.*)", re.ASCII | re.IGNORECASE)
 _FD_LINE = re.compile(_STAMP_FORM + r"\s+CANFD\s+(\d+)\s+(Rx|Tx|TxRq)\s+(\S+)\s+(.*)", re.ASCII | re.IGNORECASE)
@@ -46,7 +46,10 @@ _DATE_FORM = re.compile(
 
 
 def asc_batches(file: Path, names: Mapping[str, int] | None) -> Generator[Batch, None, None]:
-    """names : messages by name, with flags in the identifier; None without a DBC. Raises LinkOpenError."""
+    """Batches of frames of an .asc file. names : message -> identifier with flags; None without a DBC.
+
+    Raises LinkOpenError.
+    """
     with open_text(file) as handle:
         reader = _Reader(file, names)
         for line in bounded(handle):
@@ -83,7 +86,7 @@ class _Reader:
         self._blocks = 0
         self._date_s: float | None = None  # of the measurement
         self._block_s: float | None = None  # of a block whose first stamp is awaited
-        self._begun = False  # a block, whose first stamp is awaited
+        self._block_open = False  # a block has started and its first stamp is awaited
         self._origin_ns = 0  # what a stamp counts from
         self._last_ns: int | None = None  # of the last line, with the origin
         self._left_out: set[str] = set()
@@ -96,7 +99,7 @@ class _Reader:
             self._base = 10 if match[1].lower() == "dec" else 16
             self._relative = (match[2] or "").lower() == "relative"
             if self._relative:
-                self.out.tell("relative_times", "its time stamps are relative (differences): added up")
+                self.out.warn("relative_times", "its time stamps are relative (differences): added up")
         elif match := _DATE_LINE.match(text):
             date_s = when(match[2])
             if match[1].lower() == "date":
@@ -104,7 +107,7 @@ class _Reader:
                 self._origin_ns = round((date_s or 0.0) * 1e6) * 1000
             else:
                 self._blocks += 1
-                self._begun, self._block_s = True, date_s
+                self._block_open, self._block_s = True, date_s
         elif not _OTHER_LINE.match(text):
             self._odd()
 
@@ -133,7 +136,7 @@ class _Reader:
         whole, _, part = stamp.replace(",", ".").partition(".")
         seconds = abs(int(whole)) * 1_000_000_000 + int(part[:9].ljust(9, "0"))
         stamp_ns = -seconds if stamp.startswith("-") else seconds
-        if self._begun:
+        if self._block_open:
             self._begin(stamp_ns)
         begin_ns = self._last_ns if self._relative and self._last_ns is not None else self._origin_ns
         t_ns = begin_ns + stamp_ns
@@ -141,8 +144,8 @@ class _Reader:
         return t_ns
 
     def _begin(self, stamp_ns: int) -> None:
-        """The first stamp of a block: one that goes back counts from the date of its block."""
-        self._begun = False
+        """Set the origin by the first stamp of a block. A stamp that goes back counts from the date of its block."""
+        self._block_open = False
         last_ns = self._last_ns
         if last_ns is None or not (self._relative or self._origin_ns + stamp_ns < last_ns):
             return
@@ -157,7 +160,7 @@ class _Reader:
             text = f"trigger block {self._blocks} begins anew, and its date does not say when: counted as 1 s later"
         if self._relative:
             self._last_ns = self._origin_ns
-        self.out.tell("trigger_blocks", text)
+        self.out.warn("trigger_blocks", text)
 
     def _frame(self, match: re.Match[str], classic: bool, t_ns: int) -> None:
         """Add the frame of a line. Raises ValueError."""
@@ -190,7 +193,7 @@ class _Reader:
         self.out.frame((identifier, data, t_ns), str(int(bus)), direction.lower() == "tx")
 
     def _identifier(self, token: str) -> int | None:
-        """With its flags; None of a name that is not in the DBC. Raises ValueError."""
+        """Identifier with its flags; None for a name that is not in the DBC. Raises ValueError."""
         extended = token[-1] in "xX"
         try:
             number = int(token[:-1] if extended else token, self._base)
@@ -209,5 +212,5 @@ class _Reader:
             text = (
                 f"messages by their names, some of which the DBC does not have ({token}, line {self._number}): left out"
             )
-            self.out.tell("symbolic_names", text)
+            self.out.warn("symbolic_names", text)
         return found

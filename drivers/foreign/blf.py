@@ -1,9 +1,9 @@
-"""Vector .blf: its containers read by us, the objects in them by python-can.
+"""Vector .blf: this reader unpacks the containers, python-can reads the objects in them.
 
-python-can unpacks a container to whatever size it likes; takes an object of a wrong length for one that goes on in the
-next container, and so keeps all that follows to itself, or reads its neighbour's bytes; skips in silence what is packed
-in a way it does not know; joins the halves of two objects if a container between them is lost; and ends at the first
-damage. Here containers and objects have bounds, and damage costs the container that it is in, and is told.
+python-can alone does not bound the size of an unpacked container. It takes an object of a wrong length for one that
+continues in the next container. It skips containers of an unknown compression without a message, joins the halves of
+two objects if a container between them is lost, and ends at the first damage. This reader bounds containers and
+objects. Damage costs the container that it is in, and is reported.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _CONTAINER_STRUCT = struct.Struct("<H6xI4x")  # how, and the size before
 
 
 class BlfReader(can.BLFReader):  # type: ignore[misc]
-    """An iteration that has raised may begin anew, and goes on behind the damage."""
+    """python-can's reader, whose iteration can be restarted after an error and continues behind the damage."""
 
     goes_on = True
     _tail: bytes  # python-can's: of an object that goes on in the next container
@@ -64,7 +64,7 @@ class BlfReader(can.BLFReader):  # type: ignore[misc]
         self._tail, self._lost = b"", True
 
     def _next(self, file: BinaryIO) -> bytes | None:
-        """What the next container holds; None at the end of the file. Raises ValueError at damage, once."""
+        """Content of the next container; None at the end of the file. Raises ValueError once for each damage."""
         while True:
             at = file.tell()
             head = file.read(_OBJECT_STRUCT.size)

@@ -24,14 +24,14 @@ _SCREEN_LINE = re.compile(
 )
 _SCREEN_LOOK = re.compile(r"(?:\([^)]*\)\s+)?\S+\s+(?:(?:RX|TX)\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
 _DATE_STAMP = re.compile(r"\((\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(\.\d{1,9}\))")  # of candump -tA, local time
-_LOOK_LINES = 200  # lines by which the kind of file is told
+_LOOK_LINES = 200  # lines by which the kind of file is recognised
 _SHORTEST_FRAME_NS = 15_000  # on a bus: 47 bits at 5 Mbit/s, and the rest of a frame at 1 Mbit/s
 _LARGEST_STEP_NS = 3_600_000_000_000
 _BACK_SHARE = 0.15  # of the stamps that are smaller than the one before: times never go back so often
 
 
 def candump_batches(file: Path) -> Generator[Batch, None, None]:
-    """Raises LinkOpenError, at the first batch only, for a file of another kind."""
+    """Batches of frames of a candump log. Raises LinkOpenError with the first batch for a file of another kind."""
     with open_text(file) as handle:
         lines = map(_in_seconds, bounded(handle))
         first = list(islice(lines, _LOOK_LINES))
@@ -40,7 +40,7 @@ def candump_batches(file: Path) -> Generator[Batch, None, None]:
         differences = are_differences(stamps)
         out = Collector()
         if differences:
-            out.tell("delta_times", "its time stamps are differences (candump -td): added up")
+            out.warn("delta_times", "its time stamps are differences (candump -td): added up")
         yield from _read(chain(first, lines), out, differences)
 
 
@@ -81,7 +81,7 @@ def _in_seconds(line: str) -> str:
         return line
     try:
         return f"({int(datetime.fromisoformat(match[1]).timestamp())}{match[2]}{line.lstrip()[match.end() :]}"
-    except (ValueError, OverflowError, OSError):  # no date, or one that this system has not
+    except (ValueError, OverflowError, OSError):  # no date, or one outside the range of this system
         return line
 
 
@@ -111,7 +111,7 @@ def _stamp(line: str) -> int | None:
 
 
 def are_differences(stamps: list[int]) -> bool:
-    """Times go up; differences are small, go up and down, and come sooner one after the other than frames can."""
+    """Whether stamps are differences: they go up and down, or are shorter than the shortest frame."""
     if len(stamps) < 4 or max(stamps) > _LARGEST_STEP_NS or stamps[0] > stamps[1]:
         return False
     back = sum(b < a for a, b in zip(stamps[1:-1], stamps[2:], strict=True))
@@ -119,7 +119,7 @@ def are_differences(stamps: list[int]) -> bool:
 
 
 def _refuse_other_kinds(file: Path, first: list[str]) -> None:
-    """Raise LinkOpenError for what is known to be no candump log, with what to do."""
+    """Raise LinkOpenError, with a remedy, for a file that is known to be no candump log."""
     text = [line.strip() for line in first if line.strip()]
     if any(_LOG_LINE.fullmatch(line) or _SCREEN_LINE.fullmatch(line) for line in text):
         return

@@ -1,6 +1,6 @@
 """capture: recorded CAN traffic as a link, as fast as it is read; samples lie at their recorded times.
 
-The first frames are looked at when it is opened: a file that would give wrong samples is refused there.
+`open` checks the first frames: it refuses a file that would give wrong samples.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .capture_senders import Senders
 from .mapped import MappedDecoder
 from .reorder import Reorder
 
-SURVEY_FRAMES = 4096  # of the device, by which buses and senders are told
+SURVEY_FRAMES = 4096  # of the device, by which buses and senders are recognised
 
 
 class Capture:
-    """With a DBC file and a signal map: the frames of any device. Without: of one that speaks protocol v1."""
+    """A driver of a capture: of any device with a DBC file and a signal map, else of a device with protocol v1."""
 
     kind = "capture"
 
@@ -68,7 +68,7 @@ class Capture:
                 raise
 
     def _begin(self, batches: Batches) -> None:
-        """Look at the first frames, and decode them. Raises LinkOpenError."""
+        """Check the first frames, and decode them. Raises LinkOpenError."""
         senders = self._senders
         first: list[Batch] = []
         while senders.seen < SURVEY_FRAMES and (batch := next(batches, None)) is not None:
@@ -153,8 +153,8 @@ class Capture:
         for level, code, text in self._senders.take_said():
             notices.add(t_ns, level, code, f"{self.target}: {text}")
         batch = self._reorder.take(batch)
-        if self._reorder.sorted and not self._reorder.told:
-            self._reorder.told = True
+        if self._reorder.sorted and not self._reorder.reported:
+            self._reorder.reported = True
             text = f"{self.target}: frames stand out of order by their time stamps: sorted"
             notices.add(t_ns, "warning", "unsorted", text)
         out = self._feed(batch, t_ns, final)

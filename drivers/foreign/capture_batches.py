@@ -24,7 +24,7 @@ class Batch:
 
     buses : (n,) which of `names` each frame was on. names : of the buses of the file so far, as its format counts them.
     sent : (n,) frames that the recorder itself sent. holes : (n + 1,) damaged lines or records before each frame, and
-    behind the last. why : the first reason, "" if none. said : what the user has to know of the file, code and text.
+    behind the last. why : the first reason, "" if none. said : notices of the file, as code and text.
     """
 
     frames: CanFrames
@@ -40,7 +40,7 @@ class Batch:
         return int(self.holes.sum())
 
     def pick(self, which: NDArray[np.bool_]) -> Batch:
-        """Some of the frames; damage in front of one that is left out stays in front of the next."""
+        """Some of the frames; damage before a frame that is left out counts before the next frame."""
         holes = np.zeros(int(which.sum()) + 1, np.int64)
         np.add.at(holes, np.concatenate([[0], np.cumsum(which)]), self.holes)
         return Batch(
@@ -76,7 +76,7 @@ class Batches(Protocol):
 
 @dataclass(slots=True, kw_only=True)
 class Collector:
-    """Frames and damage, one after the other, into batches."""
+    """Collects frames and damage, one after the other, into batches."""
 
     names: list[str] = field(default_factory=list)
     why: str = ""
@@ -104,7 +104,7 @@ class Collector:
         self._damaged += 1
         self.why = self.why or why
 
-    def tell(self, code: str, text: str) -> None:
+    def warn(self, code: str, text: str) -> None:
         self.said.append((code, text))
 
     @property
@@ -112,7 +112,7 @@ class Collector:
         return len(self._frames) >= BATCH_FRAMES or self._damaged >= BATCH_FRAMES
 
     def take(self) -> Batch:
-        """What has come since the last call."""
+        """The batch of all that was added since the last call."""
         codes = np.array(self._codes, np.int64)
         holes = np.zeros(len(codes) + 1, np.int64)
         holes[[*self._holes, -1]] = [*self._holes.values(), self._since]
@@ -161,7 +161,7 @@ def _bus(channel: Any, first_bus: int) -> str:
 
 
 def _frame(message: Any) -> FrameTuple | str:
-    """Identifier, data and time; or why it is none."""
+    """Identifier, data and time; or the reason why the message is no frame."""
     flags = EXTENDED_FLAG if message.is_extended_id else 0
     flags |= (REMOTE_FLAG if message.is_remote_frame else 0) | (ERROR_FLAG if message.is_error_frame else 0)
     # seconds as a float carry microseconds for today's dates, no more
@@ -174,7 +174,7 @@ def _frame(message: Any) -> FrameTuple | str:
 
 
 def _cut(reader: Any, file: Path) -> str:
-    """Why a file that was read without an error is not whole; "" if it is. (A cut MF4 file does not even open.)"""
+    """Why a file that was read without an error is incomplete; "" if it is complete. (A cut MF4 file does not open.)"""
     size = file.stat().st_size
     end = getattr(reader, "file_size", 0) if file.suffix.lower() == ".blf" else 0
     return f"the file has {size} bytes, its header says {end}: it is cut" if end > size else ""

@@ -1,4 +1,4 @@
-"""Whose frames a capture holds: of which bus, sent by the recorder or received. Each sample is to come once."""
+"""Selects the frames of one bus and one direction from a capture, so that each sample comes once."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from drivers.contract.errors import BusError, LinkOpenError
 
 from .capture_batches import Batch
 
-ECHO_SHARE = 0.9  # of the sent frames that were received as well: they are their echo
+ECHO_SHARE = 0.9  # of the sent frames that were received as well: the received frames are their echo
 
 
 class Senders:
-    """`survey` takes the first batches, `decide` chooses, `of_device` picks. bus : that was asked for."""
+    """`survey` counts the first batches, `decide` chooses, `of_device` selects frames. bus : the requested bus."""
 
     def __init__(self, target: str, bus: str | None, wanted: Callable[[CanFrames], NDArray[np.bool_]]) -> None:
         self.seen = 0  # frames of the device
@@ -29,10 +29,10 @@ class Senders:
         self._drop_sent = False
         self._chosen = bus
         self._said: list[tuple[str, str, str]] = []
-        self._told_other = False
+        self._reported_other = False
 
     def survey(self, batch: Batch) -> Batch:
-        """Look at one of the first batches; gives what is to be kept of it."""
+        """Count the frames of one of the first batches; returns the frames of the requested bus."""
         self._names = batch.names
         if self._bus is not None:
             batch = batch.pick(self._on(batch, self._bus))
@@ -47,7 +47,7 @@ class Senders:
         return batch
 
     def decide(self) -> None:
-        """Raises LinkOpenError where the samples of two buses, or of two senders, would be mixed."""
+        """Choose bus and direction. Raises LinkOpenError where samples of two buses or senders would be mixed."""
         if self._bus is not None and self._bus not in self._names:
             has = ", ".join(self._names) or "no frames"
             what = f"{self._target}: there is no bus {self._bus} in it: it has {has}"
@@ -74,14 +74,14 @@ class Senders:
         self._said.append(("warning", "own_echo", text))
 
     def of_device(self, batch: Batch) -> Batch:
-        """Without what is of another bus, and without the echo."""
+        """The batch without frames of other buses, and without the echo."""
         if self._chosen is None or not len(batch.frames):
             return batch
         keep = self._on(batch, self._chosen)
-        if not keep.all() and self._bus is None and not self._told_other:
+        if not keep.all() and self._bus is None and not self._reported_other:
             mine = self._wanted(batch.frames) & ~keep
             if mine.any():
-                self._told_other = True
+                self._reported_other = True
                 other = batch.names[int(batch.buses[mine][0])]
                 text = f"frames of the device come on bus {other} as well, from here on: left out, not {self._chosen}"
                 self._said.append(("error", "second_bus", text))
@@ -90,7 +90,7 @@ class Senders:
         return batch if keep.all() else batch.pick(keep)
 
     def take_said(self) -> list[tuple[str, str, str]]:
-        """Level, code and text of what is to be told since the last call."""
+        """Level, code and text of the notices since the last call."""
         said, self._said = self._said, []
         return said
 

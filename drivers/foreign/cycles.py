@@ -1,8 +1,8 @@
 """Frames of several messages -> rows: which frames are of one instant.
 
-Frames that come close together are one row, in whatever order, where stamps are exact and a row is short. Else rows
-are told apart by the usual order of the messages. A row that lacks a message stays incomplete; it never takes the
-frame of another instant.
+Where stamps are exact and a row is short, frames that come close together are one row, in any order. Else rows are
+separated by the usual order of the messages. A row that lacks a message stays incomplete; it never takes the frame of
+another instant.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from drivers.protocol.period import Period, estimate_period
 
-LONGEST_ROW_SHARE = 0.4  # of the period: frames further apart are not told from those of the next row by time
-UNEQUAL_REL = 0.02  # rates of two messages that are further apart are different rates, not clocks
-OWN_CLOCKS_REL = 5e-4  # further apart than two oscillators: the messages come from clocks of their own
+LONGEST_ROW_SHARE = 0.4  # of the period: the time alone does not separate longer rows from the next row
+UNEQUAL_REL = 0.02  # rates of two messages that differ by more are different rates, not different clocks
+OWN_CLOCKS_REL = 5e-4  # rates that differ by more than two oscillators do: the messages have separate clocks
 SLIP_FRAMES, SLIP_SHARE = 32, 0.2  # frames of a message that slip against the others by so much of a period
 
 I64Array = NDArray[np.int64]
@@ -24,8 +24,8 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """row : (frames,) which row each is in. n : number of rows. first_ns : (n,) when each began. mixed : (n,) whether
-    frames of several rows came at once, some of them missing, so that nothing says which belong together."""
+    """Frames grouped into rows. row : (frames,) row of each frame. n : number of rows. first_ns : (n,) start of a row.
+    mixed : (n,) whether frames of several rows came at once with some missing, so that they cannot be matched."""
 
     row: I64Array
     n: int
@@ -37,9 +37,9 @@ class Rows:
 class Timing:
     """How the messages of one device follow each other.
 
-    periods : of each message, None of too few frames. rank : of each in the usual order. lag_ns : of each behind the
-    first. apart_ns : frames further apart are of two rows; None where the order tells rows apart.
-    late_ns : a frame so much later than usual behind the one before is of another row; None where stamps are coarse.
+    periods : of each message, None for too few frames. rank : of each message in the usual order. lag_ns : of each
+    message behind the first. apart_ns : frames further apart are of two rows; None where the order separates rows.
+    late_ns : a frame that is later than usual by more than this starts another row; None where stamps are coarse.
     """
 
     periods: tuple[Period | None, ...]
@@ -51,19 +51,19 @@ class Timing:
 
     @classmethod
     def unknown(cls) -> Timing:
-        """Before any frame."""
+        """The timing before any frame was seen."""
         empty = np.empty(0, np.int64)
         return cls((), empty, empty, None, late_ns=None)
 
     @classmethod
     def learn(cls, which: I64Array, t_ns: I64Array, messages: int) -> Timing:
-        """which : (n,) message of each frame, in the order of arrival."""
+        """The timing of these frames. which : (n,) message of each frame, in the order of arrival."""
         periods = tuple(estimate_period(t_ns[which == m]) for m in range(messages))
         before = np.diff(t_ns, prepend=t_ns[:1])
         pause = [_median(before[1:][which[1:] == m], -1.0) for m in range(messages)]
         opener = int(which[0]) if max(pause) <= 0.0 else int(np.argmax(pause))
         opened = np.flatnonzero(which == opener)
-        frames = np.arange(len(which))[opened[0] :]  # those before it belong to a row that began earlier
+        frames = np.arange(len(which))[opened[0] :]  # frames before the first opener belong to an earlier row
         start = opened[np.searchsorted(opened, frames, side="right") - 1]
         place, behind, of = frames - start, t_ns[frames] - t_ns[start], which[frames]
         usual = [_median(place[of == m], float(m)) for m in range(messages)]
@@ -87,7 +87,7 @@ class Timing:
         return (fast, slow, share) if share > max(OWN_CLOCKS_REL, 1.5 * sum(errors)) else None
 
     def rows(self, which: I64Array, t_ns: I64Array) -> Rows:
-        """Rows of these frames, of which the first opens one."""
+        """Rows of these frames; the first frame opens the first row."""
         if len(which) == 0:
             empty = np.empty(0, np.int64)
             return Rows(empty, 0, empty, np.empty(0, np.bool_))
@@ -105,7 +105,7 @@ class Timing:
     def slipped(self, which: I64Array, t_ns: I64Array, rows: Rows, late_ns: NDArray[np.float64]) -> int | None:
         """A message whose frames come at another time of the row than usual; None if none do.
 
-        late_ns : (messages,) how late each has been, averaged over SLIP_FRAMES; it is brought up to date.
+        late_ns : (messages,) mean delay of each message over SLIP_FRAMES; updated in place.
         """
         if self.late_ns is None:
             return None
@@ -139,7 +139,7 @@ class Timing:
         return Rows(row.astype(np.int64), len(first), t_ns[first] - self.lag_ns[which[first]], mixed[cluster[first]])
 
     def _began(self, which: I64Array, t_ns: I64Array, new: NDArray[np.bool_]) -> I64Array:
-        """When the first message of each row came, or should have come."""
+        """Time at which the first message of each row came, or should have come."""
         return np.asarray(t_ns[new] - self.lag_ns[which[new]])
 
 

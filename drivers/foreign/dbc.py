@@ -1,7 +1,7 @@
 """A DBC file as its makers write it: its text in any encoding, and the messages and signals that a map names.
 
-cantools reads the file. What it refuses, though the format allows it, is put right before: a byte order mark, bit
-timing in `BS_:`.
+cantools reads the file. It refuses two things that the format allows, which are removed first: a byte order mark, and
+bit timing in `BS_:`.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _NO_VALUE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Database:
-    """messages : of cantools. j1939 : the whole file describes a J1939 bus."""
+    """A DBC file that was read. messages : of cantools. j1939 : the whole file describes a J1939 bus."""
 
     messages: tuple[Any, ...]
     j1939: bool
 
 
 def dbc_text(data: bytes) -> str:
-    """The text: UTF-8 or UTF-16 by its mark, UTF-8 if it is that, else cp1252, in which most tools write."""
+    """Text of a DBC file: UTF-8 or UTF-16 by its byte order mark, else UTF-8 if it is valid, else cp1252."""
     for mark, encoding in (
         (codecs.BOM_UTF8, "utf-8"),
         (codecs.BOM_UTF16_LE, "utf-16"),
@@ -58,10 +58,10 @@ def dbc_text(data: bytes) -> str:
 
 
 def load_dbc(data: bytes) -> Database:
-    """Raises LinkError."""
+    """The messages of a DBC file. Raises LinkError."""
     import cantools
 
-    log = logging.getLogger("cantools")  # what it prints about names that are there twice is told with the channel
+    log = logging.getLogger("cantools")  # it prints duplicate names, which are reported with the channel
     if not log.handlers:
         log.addHandler(logging.NullHandler())
     text = _BIT_TIMING.sub("BS_:", dbc_text(data))
@@ -78,7 +78,7 @@ def load_dbc(data: bytes) -> Database:
 
 
 def find_signals(database: Database, channel: str, path: str) -> tuple[Any, list[Any]]:
-    """The message, and its signals of that name: one for each page that has it. Raises LinkError."""
+    """The message, and its signals of the given name: one for each page that has it. Raises LinkError."""
     where = f"signal map, {channel} = {path!r}"
     name, _, signal_name = path.partition(".")
     if not signal_name:

@@ -1,4 +1,4 @@
-"""What the first frames of a device show that makes its samples wrong or doubtful: said, and of a file refused."""
+"""Findings in the first frames of a device that make its samples wrong or doubtful; a fatal one refuses a file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """level, code, text : as of a Notice. fatal : a record would be wrong in its samples or its time base."""
+    """One finding. level, code, text : as of a Notice. fatal : samples or time base of a record would be wrong."""
 
     level: str
     code: str
@@ -55,7 +55,7 @@ def look(
 
 
 def _twice(message: Message, frames: CanFrames) -> Finding | None:
-    """Each frame and its echo, or the same bus recorded twice."""
+    """Finding of frames that come twice: each with its echo, or the same bus recorded twice."""
     if len(frames) < 2 * LEAST_PAIRS:
         return None
     same = (frames.payload[1:] == frames.payload[:-1]).all(axis=1)
@@ -77,7 +77,7 @@ LEAST_PAIRS = 8
 
 
 def _interleaved(message: Message, t_ns: I64Array, period: Period | None, nominal_hz: float | None) -> Finding | None:
-    """Several senders of one identifier: a whole multiple of the rate, unevenly."""
+    """Finding of several senders of one identifier: frames come unevenly at a whole multiple of the rate."""
     if period is None or nominal_hz is None:
         return None
     times = round(period.rate_hz / nominal_hz)

@@ -1,6 +1,6 @@
 """CAN frames of other makers' devices: a DBC file and a signal map -> samples on a time-derived index axis.
 
-One frame of each mapped message makes a sample. What comes first is held until the timing of the device is known: its
+One frame of each mapped message makes a sample. The first frames are held until the timing of the device is known: its
 true rate, which frames are of one instant, and the size of values that have no limits. A sample in which a signal is
 missing or has no value is a gap.
 """
@@ -27,10 +27,10 @@ from .findings import Finding, look, nothing_matched
 from .signal_plan import Field, Message, compile_plan
 
 MAX_OPEN = 4096  # frames kept of a sample that is not complete
-LEARN_FRAMES, LEARN_S = 32, 1.0  # of each message, before a live device's samples come; or
-FEW_FRAMES, FEW_S = 8, 2.0  # so many
-LEARN_RECORDED = 4096  # frames of a capture
-ALONE_SHARE = 0.99  # of the frames are the device's: then each damaged one was a sample
+LEARN_FRAMES, LEARN_S = 32, 1.0  # of each message, that are held before a live device's samples are read; or
+FEW_FRAMES, FEW_S = 8, 2.0  # fewer frames over a longer time
+LEARN_RECORDED = 4096  # frames of a capture that are held
+ALONE_SHARE = 0.99  # with so many of the frames from the device, each damaged frame counts as a sample
 MOST_COUNT = 2.0**31
 
 I64Array = NDArray[np.int64]
@@ -60,9 +60,10 @@ class _Frames:
 
 
 class MappedDecoder:
-    """recorded : host time of a block is the recorded time of its last frame (a capture), not that of the read.
+    """Decodes frames of mapped messages to readings.
 
-    findings : what the first frames showed; known once `learned`.
+    recorded : host time of a block is the recorded time of its last frame (a capture), not the time of the read.
+    findings : of the first frames; known once `learned`.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class MappedDecoder:
         self._reason = "source"
         self._sources: dict[str, int] = {}
         self._seen: Counter[int] = Counter()
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._pending_holes = 0
         self._unsure = self._within = 0
 
@@ -122,9 +123,9 @@ class MappedDecoder:
     def feed(
         self, frames: CanFrames, t_host_ns: int, final: bool = False, holes: I64Array | None = None
     ) -> list[Reading]:
-        """Readings of these frames; `final` places what is held as well.
+        """Readings of these frames; with `final`, also of the frames that are held.
 
-        holes : (n + 1,) frames known to be damaged before each, and behind the last.
+        holes : (n + 1,) number of damaged frames before each frame, and behind the last.
         """
         self.stats.frames += len(frames)
         mine = self._mine(frames, t_host_ns, holes)
@@ -142,7 +143,7 @@ class MappedDecoder:
         return self._place(t_host_ns, final)
 
     def finish(self, t_host_ns: int) -> list[Reading]:
-        """What waits for a second in which frames come evenly, at the rate of the rig file if none was measured."""
+        """Readings of the frames that are held, at the rate of the rig file if none was measured."""
         if not self.learned or (self._axis.rate_hz is None and self._nominal_hz is None):
             return list(self.notices.take())
         return self.feed(CanFrames.build([]), t_host_ns, final=True)
@@ -171,7 +172,7 @@ class MappedDecoder:
         return _Frames(frames.pick(found), which[found], before)  # type: ignore[arg-type]
 
     def _which(self, frames: CanFrames, t_host_ns: int) -> I64Array:
-        """(n,) number of the mapped message each frame is, -1 for none."""
+        """(n,) number of the mapped message of each frame, -1 for none."""
         which = np.full(len(frames), -1, np.int64)
         plain = (frames.ids & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0
         for number, message in enumerate(self.plan.messages):
@@ -189,7 +190,7 @@ class MappedDecoder:
     def _one_source(
         self, message: Message, frames: CanFrames, hit: NDArray[np.bool_], t_host_ns: int
     ) -> NDArray[np.bool_]:
-        """J1939: the first source address seen is the device; others with the same message are counted and told."""
+        """J1939: frames of the first source address seen. Frames of other addresses are counted, with a warning."""
         address = frames.ids & np.uint32(0xFF)
         first = self._sources.setdefault(message.name, int(address[np.flatnonzero(hit)[0]]))
         same = address == first
@@ -201,7 +202,7 @@ class MappedDecoder:
         return np.asarray(same)
 
     def _learn(self, mine: _Frames, t_host_ns: int, final: bool) -> bool:
-        """Learn the timing from what is held. False: more is needed."""
+        """Learn the timing from the frames that are held. False if more frames are needed."""
         n, messages, t_ns = len(mine), len(self.plan.messages), mine.frames.t_ns
         if n == 0:
             return False
@@ -225,20 +226,20 @@ class MappedDecoder:
     # -- rows ------------------------------------------------------------------------------------------------------
 
     def _read_rows(self, mine: _Frames, t_host_ns: int, final: bool) -> None:
-        """Append the rows that are complete, or come to their end."""
+        """Decode and append the rows that are complete or closed."""
         if len(mine) == 0:
             return
         n, times, row, mixed = self._rows_of(mine, final)
         if n == 0:
             return
         self._fit_steps(mine)
-        told: Counter[tuple[str, str]] = Counter()
-        counts, valid = self._values(mine, row, n, told)
+        warnings: Counter[tuple[str, str]] = Counter()
+        counts, valid = self._values(mine, row, n, warnings)
         fresh: dict[str, list[str]] = {}
-        for (code, text), number in told.items():
+        for (code, text), number in warnings.items():
             self.stats.count(code, number)
-            if text not in self._told:
-                self._told.add(text)
+            if text not in self._reported:
+                self._reported.add(text)
                 fresh.setdefault(code, []).append(text)
         for code, texts in fresh.items():
             self.notices.add(t_host_ns, "warning", code, "; ".join(texts))
@@ -253,7 +254,7 @@ class MappedDecoder:
         self._row_holes = np.concatenate([self._row_holes, holes])
 
     def _values(
-        self, mine: _Frames, row: I64Array, n: int, told: Counter[tuple[str, str]]
+        self, mine: _Frames, row: I64Array, n: int, warnings: Counter[tuple[str, str]]
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """Counts (n, channels), and (n,) whether each row has a value of every channel."""
         counts = np.zeros((n, len(self.plan.signals)), np.int32)
@@ -261,7 +262,7 @@ class MappedDecoder:
             whole = np.ones(n, np.bool_)
             page = self.plan.messages[0].pages[0]
             for each, column in zip(page.fields, page.columns, strict=True):
-                counts[:, column], good = each.read(mine.frames.payload, mine.frames.lengths, told)
+                counts[:, column], good = each.read(mine.frames.payload, mine.frames.lengths, warnings)
                 whole &= good
             return counts, whole
         valid = np.zeros((n, len(self.plan.signals)), np.bool_)
@@ -271,14 +272,14 @@ class MappedDecoder:
             for page in message.pages:
                 here = page.hit(payload, lengths) if message.paged and len(message.pages) > 1 else None
                 for each, column in zip(page.fields, page.columns, strict=True):
-                    value, good = each.read(payload, lengths, told if here is None else None)
+                    value, good = each.read(payload, lengths, warnings if here is None else None)
                     good = good if here is None else good & here
                     counts[row[rows[good]], column] = value[good]
                     valid[row[rows[good]], column] = True
         return counts, np.asarray(valid.all(axis=1))
 
     def _rows_of(self, mine: _Frames, final: bool) -> tuple[int, I64Array, I64Array, NDArray[np.bool_]]:
-        """Number of rows that are at their end, their times, the row of each frame, and whether rows are mixed."""
+        """Number of closed rows, their times, the row of each frame, and whether rows are mixed."""
         t_ns = mine.frames.t_ns
         if len(self.plan.messages) == 1:
             return len(mine), t_ns, np.arange(len(mine)), np.zeros(len(mine), np.bool_)
@@ -290,16 +291,16 @@ class MappedDecoder:
                 f"frames of {self.plan.messages[slipped].label} slip against those of the other messages: clocks of "
                 "their own, so phases between them mean nothing"
             )
-            self._tell(int(t_ns[-1]) if self._recorded else 0, "own_clocks", text, once="own_clocks")
+            self._warn(int(t_ns[-1]) if self._recorded else 0, "own_clocks", text, once="own_clocks")
         last = rows.row == n - 1
         if not final and len(np.unique(mine.which[last])) < len(self.plan.messages):
-            n -= 1  # the last one is still open
+            n -= 1  # the last row is still open
             if int(last.sum()) <= MAX_OPEN:
                 self._open = mine.pick(last)
         return n, rows.first_ns[:n], rows.row, rows.mixed[:n]
 
     def _fit_steps(self, mine: _Frames) -> None:
-        """Choose the steps of floats by their values; larger ones than fit need larger steps."""
+        """Choose the steps of float signals by their values; a value that does not fit enlarges the step."""
         changed: dict[int, Field] = {}
         factors = np.ones(len(self.plan.signals))
         for number, message in enumerate(self.plan.messages):
@@ -323,7 +324,7 @@ class MappedDecoder:
         times = self._times[len(self._times) - new :]
         placed = self._axis.place(times, final, self._row_holes[len(self._times) - new :])
         out: list[Reading] = []
-        self._tell_of_time(t_host_ns, final)
+        self._warn_of_time(t_host_ns, final)
         if placed.unsure:
             self._unsure, self._within = self._unsure + placed.unsure, max(self._within, placed.within)
             rate_hz = self._axis.rate_hz or 1.0
@@ -331,7 +332,7 @@ class MappedDecoder:
                 "where samples are missing, frames come late or in bursts: the place of a gap is uncertain by up to "
                 f"{1e3 * (self._within + 1) / rate_hz:.3g} ms; use an adapter that stamps each frame"
             )
-            self._tell(t_host_ns, "coarse_stamps", text, once="coarse_stamps")
+            self._warn(t_host_ns, "coarse_stamps", text, once="coarse_stamps")
         if self._axis.rate_hz is not None and len(placed.index):
             info = Info(self.plan.signals, self._axis.rate_hz, "", self.plan.count_bits)
             if info != self._info:
@@ -340,7 +341,7 @@ class MappedDecoder:
             self._emit(placed.index, t_host_ns, out)
         return out + self.notices.take()
 
-    def _tell_of_time(self, t_host_ns: int, final: bool) -> None:
+    def _warn_of_time(self, t_host_ns: int, final: bool) -> None:
         axis = self._axis
         if self._steady.jumped_ns:
             text = f"the clock that stamps the frames was set forwards by {self._steady.jumped_ns / 1e9:.3g} s"
@@ -359,14 +360,14 @@ class MappedDecoder:
         if found is not None and nominal_hz is not None and off_nominal(found, 1e9 / nominal_hz):
             hz = f"{axis.rate_hz:.6g}"
             text = f"frames come at {hz} Hz, not at the {nominal_hz:g} Hz of the rig file: {hz} Hz is used"
-            self._tell(t_host_ns, "rate_untrue", f"{text}; set acquisition.rate_hz = {hz}", once="rate_untrue")
+            self._warn(t_host_ns, "rate_untrue", f"{text}; set acquisition.rate_hz = {hz}", once="rate_untrue")
         elif (hz_now := axis.drifted()) is not None:
             text = f"frames come at {hz_now:.6g} Hz, the record counts {axis.rate_hz:g} Hz"
-            self._tell(t_host_ns, "rate_untrue", f"{text}: set acquisition.rate_hz = {hz_now:.6g}", once="rate_untrue")
+            self._warn(t_host_ns, "rate_untrue", f"{text}: set acquisition.rate_hz = {hz_now:.6g}", once="rate_untrue")
 
-    def _tell(self, t_host_ns: int, code: str, text: str, once: str) -> None:
-        if once not in self._told:
-            self._told.add(once)
+    def _warn(self, t_host_ns: int, code: str, text: str, once: str) -> None:
+        if once not in self._reported:
+            self._reported.add(once)
             self.notices.add(t_host_ns, "warning", code, text)
 
     def _emit(self, index: I64Array, t_host_ns: int, out: list[Reading]) -> None:

@@ -1,8 +1,8 @@
-"""CAN traffic in .mf4 files, read in a process of its own: python -m drivers.foreign.mf4_capture FILE
+"""CAN traffic in .mf4 files, read in a separate process: python -m drivers.foreign.mf4_capture FILE
 
-Compiled parts of asammdf crash on some damaged files; there that is a message, and here it would end the service.
-The process writes parts to standard output: a letter, a length, a content. OPENED | UNAVAILABLE | REFUSED first, then
-BATCH for each batch, END.
+Compiled parts of asammdf crash on some damaged files. In a separate process a crash becomes a message and does not end
+the service. The process writes parts to standard output: a letter, a length, a content. The first part is OPENED,
+UNAVAILABLE or REFUSED; a BATCH for each batch and END follow.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ Opened = TypeVar("Opened")
 
 
 class Mf4Batches:
-    """The batches of a file, as open_capture gives them. Raises LinkOpenError | LinkUnavailable when it is made."""
+    """The batches of a file, as open_capture gives them. The constructor raises LinkOpenError | LinkUnavailable."""
 
     def __init__(self, file: Path) -> None:
         command = [sys.executable, "-P", "-m", "drivers.foreign.mf4_capture", str(file.resolve())]
         self._child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for us: we close it
+            start_new_session=True,  # Ctrl-C reaches the parent only, which closes this process
         )  # fmt: skip
         self._out: Any = self._child.stdout
         kind, content = self._part()
@@ -121,7 +121,7 @@ def _unpacked(content: bytes) -> Batch:
 
 
 def _opened_quietly(make: Callable[[], Opened]) -> Opened:
-    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
+    """Run `make` and discard what asammdf prints: its destructor complains of a damaged file."""
     try:
         return make()
     except ImportError:
@@ -176,7 +176,7 @@ def _serve(out: BinaryIO, path: Path) -> None:
 
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # output of a library must not mix with the parts
     try:
         _serve(answers, Path(sys.argv[1]))
     except BrokenPipeError:

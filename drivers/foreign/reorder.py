@@ -1,6 +1,6 @@
 """Frames that stand out of order in a file, by their time stamps: neighbours are put in order.
 
-A clock that was set back is another thing: what follows goes on from there, and is left as it is.
+Frames after a clock was set back are left as they are: their times continue from the new time.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 from .capture_batches import Batch
 
-MOST_FRAMES = 16  # a frame out of its place is not further from it
+MOST_FRAMES = 16  # the largest distance of a frame from its place
 I64Array = NDArray[np.int64]
 
 
 class Reorder:
-    """Holds the last MOST_FRAMES frames, behind which one of them may belong."""
+    """Sorts frames by holding the last MOST_FRAMES of them, because a later frame may belong before them."""
 
     def __init__(self) -> None:
         self.sorted = 0  # frames put into their place
-        self.told = False
+        self.reported = False
         self._held: Batch | None = None
 
     def take(self, batch: Batch) -> Batch:
-        """The frames that have found their place."""
+        """The frames whose place is final."""
         whole = batch if self._held is None else _joined(self._held, batch)
         whole = self._in_order(whole)
         front, self._held = whole.cut(max(0, len(whole.frames) - MOST_FRAMES))

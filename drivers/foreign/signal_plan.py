@@ -1,11 +1,11 @@
 """Signals of a DBC file compiled into a plan that decodes many frames at once.
 
-One frame at a time, cantools is 100 times slower than this. Counts are the raw integers. An unsigned signal is
-re-centred (2^(bits-1) subtracted, the offset moved accordingly) so that counts always have a sign; a floating-point one
-is cut into steps, a power of two, that are chosen by its values: 2^-28 of the largest.
+cantools decodes one frame at a time, which is 100 times slower. Counts are the raw integers. An unsigned signal is
+re-centred (2^(bits-1) subtracted, the offset moved accordingly) so that counts always have a sign. A floating-point
+signal is quantised in steps of a power of two: 2^-28 of its largest value.
 
-What is no value is missing: the codes of J1939 for "not available" and "error", those that a value table calls so, and
-the extreme code of a signal beyond its stated limits. Other values beyond the limits stay: the limits are wrong.
+Three kinds of raw values count as missing: the codes of J1939 for "not available" and "error", codes that a value table
+names so, and the extreme code of a signal beyond its stated limits. Other values beyond the limits are kept.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from drivers.contract.reading import Signal
 
 from .dbc import Database, find_signals, load_dbc, no_value_codes
 
-FLOAT_BITS = 28  # of a count at the largest value known so far; eight times as much fits, more needs other steps
+FLOAT_BITS = 28  # of a count at the largest value known so far; values beyond eight times that need a larger step
 J1939_VALUES_SHARE = 0xFB / 0x100  # of a J1939 parameter's codes: those from FB.. on are indicators (J1939-71)
-NO_NUMBER = 1e30  # a float beyond is no measurement: the largest float, or what stands for infinity
+NO_NUMBER = 1e30  # a larger float is no measurement: it is the largest float, or stands for infinity
 _J1939_PGN = 0x03FF_FF00  # priority and source address do not matter
-_J1939_PGN_ADDRESSED = 0x03FF_0000  # PDU1: nor does the destination
+_J1939_PGN_ADDRESSED = 0x03FF_0000  # PDU1: the destination does not matter either
 
 U8Array = NDArray[np.uint8]
 U64Array = NDArray[np.uint64]
@@ -72,11 +72,11 @@ class Bits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """One signal: counts and whether they mean anything.
+    """One signal of the DBC: decodes its counts and whether each count is a valid value.
 
-    path : its name, for what is told. step : of the counts of a float; 0 until its values are known. low, high : limits
-    in the DBC, None if it states none. codes : raw values that are no value, and their names. first_code : of J1939,
-    the first raw value that is an indicator.
+    path : name of the signal, for warnings. step : size of a count of a float signal; 0 until its values are known.
+    low, high : limits in the DBC, None if it states none. codes : raw values that are no value, and their names.
+    first_code : first raw value that J1939 reserves as an indicator, None if the signal is not J1939.
     """
 
     path: str
@@ -91,15 +91,15 @@ class Field:
     first_code: int | None
 
     def read(
-        self, payload: U8Array, lengths: U8Array, told: Counter[tuple[str, str]] | None = None
+        self, payload: U8Array, lengths: U8Array, warnings: Counter[tuple[str, str]] | None = None
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """(n,) counts and (n,) valid. Too short, a code for no value, no number: not valid. told : what was odd."""
+        """(n,) counts and (n,) valid flags. warnings : receives (code, text) of the samples that are not valid."""
         raw = self.bits.read(payload)
         valid = lengths >= self.bits.first + self.bits.count
-        told = Counter() if told is None else told
+        warnings = Counter() if warnings is None else warnings
         if self.floating:
             number = self._number(raw)
-            valid &= np.abs(number) < NO_NUMBER  # nor is it NaN
+            valid &= np.abs(number) < NO_NUMBER  # False for NaN, too
             counts = np.rint(np.where(valid, number, 0.0) / self.step)
             valid &= np.abs(counts) < 2.0**31
             return np.where(valid, counts, 0).astype(np.int32), valid
@@ -109,9 +109,9 @@ class Field:
         else:
             counts = (raw.astype(np.int64) - (1 << (self.bits.length - 1))).astype(np.int32)
         if self.first_code is not None or self.codes:
-            self._leave_codes_out(raw, valid, told)
+            self._leave_codes_out(raw, valid, warnings)
         if self.low is not None and self.high is not None:
-            self._look_at_limits(raw, counts, valid, told, (self.low, self.high))
+            self._look_at_limits(raw, counts, valid, warnings, (self.low, self.high))
         return counts, valid
 
     def largest(self, payload: U8Array, lengths: U8Array) -> float:
@@ -121,7 +121,7 @@ class Field:
         return float(number.max()) if len(number) else 0.0
 
     def stepped(self, largest: float) -> Field:
-        """With steps that suit values up to `largest`."""
+        """This field with a step that suits values up to `largest`."""
         step = 2.0 ** (math.frexp(largest)[1] - FLOAT_BITS) if largest else 2.0**-FLOAT_BITS
         scale = self.signal.scale * step / (self.step or 1.0)
         return replace(self, step=step, signal=replace(self.signal, scale=scale))
@@ -132,22 +132,22 @@ class Field:
         with np.errstate(invalid="ignore"):  # a signalling NaN
             return np.asarray(raw.astype(unsigned).view(kind).astype(np.float64))
 
-    def _leave_codes_out(self, raw: U64Array, valid: NDArray[np.bool_], told: Counter[tuple[str, str]]) -> None:
+    def _leave_codes_out(self, raw: U64Array, valid: NDArray[np.bool_], warnings: Counter[tuple[str, str]]) -> None:
         if self.first_code is not None:
             no_value = valid & (raw >= np.uint64(self.first_code))
             if no_value.any():
                 text = f"codes from 0x{self.first_code:X} on, by which J1939 says not available or error: missing"
-                told["no_value", f"{self.path}: {text}"] += int(no_value.sum())
+                warnings["no_value", f"{self.path}: {text}"] += int(no_value.sum())
                 valid &= ~no_value
         for code, name in self.codes.items():
             no_value = valid & (raw == np.uint64(code))
             if no_value.any():
                 text = f'the value table (VAL_) of the DBC calls 0x{code:X} "{name}": missing'
-                told["no_value", f"{self.path}: {text}"] += int(no_value.sum())
+                warnings["no_value", f"{self.path}: {text}"] += int(no_value.sum())
                 valid &= ~no_value
 
     def _look_at_limits(
-        self, raw: U64Array, counts: NDArray[np.int32], valid: NDArray[np.bool_], told: Counter[tuple[str, str]],
+        self, raw: U64Array, counts: NDArray[np.int32], valid: NDArray[np.bool_], warnings: Counter[tuple[str, str]],
         limits: tuple[float, float],
     ) -> None:  # fmt: skip
         low, high = limits
@@ -161,10 +161,10 @@ class Field:
         said = f"the limits of the DBC, {low:g} to {high:g}"
         if extreme.any():
             text = f"{self.path}: the extreme codes of its {self.bits.length} bits lie outside {said}: missing"
-            told["no_value", text] += int(extreme.sum())
+            warnings["no_value", text] += int(extreme.sum())
             valid &= ~extreme
         if others := int((outside & ~extreme).sum()):
-            told["outside_limits", f"{self.path}: values outside {said}: kept; correct the DBC"] += others
+            warnings["outside_limits", f"{self.path}: values outside {said}: kept; correct the DBC"] += others
 
 
 Conditions = tuple[tuple[Bits, frozenset[int]], ...]  # multiplexers, the outermost first, and their values
@@ -172,14 +172,14 @@ Conditions = tuple[tuple[Bits, frozenset[int]], ...]  # multiplexers, the outerm
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """Fields that are in a frame together. columns : which channel each is."""
+    """Fields that are in a frame together. columns : channel of each field."""
 
     conditions: Conditions
     fields: tuple[Field, ...]
     columns: tuple[int, ...]
 
     def hit(self, payload: U8Array, lengths: U8Array) -> NDArray[np.bool_]:
-        """(n,) whether frames of its message are this page."""
+        """(n,) whether each frame of the message has this page."""
         out = np.ones(len(payload), np.bool_)
         for selector, values in self.conditions:
             out &= np.isin(selector.read(payload), np.array(sorted(values), np.uint64))
@@ -198,7 +198,7 @@ class Message:
 
     @property
     def label(self) -> str:
-        """For what is told: name and identifier."""
+        """Name and identifier of the message, for warnings."""
         return f"{self.name} (0x{self.identifier & 0x1FFF_FFFF:X})"
 
     @property
@@ -206,7 +206,7 @@ class Message:
         return any(page.conditions for page in self.pages)
 
     def with_fields(self, fields: Mapping[int, Field]) -> Message:
-        """With other fields, by channel."""
+        """This message with some fields replaced. fields : channel -> field."""
         pages = [replace(p, fields=tuple(fields.get(c, f) for c, f in zip(p.columns, p.fields, strict=True)))
                  for p in self.pages]  # fmt: skip
         return replace(self, pages=tuple(pages))
@@ -214,7 +214,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """messages : in the order of their identifiers, which is the order in which a device's frames win the bus."""
+    """How frames are decoded. messages : in the order of their identifiers, which is their priority on the bus."""
 
     messages: tuple[Message, ...]
     signals: tuple[Signal, ...]
@@ -228,7 +228,7 @@ class SignalPlan:
 
 
 def compile_plan(dbc: bytes, signals: Mapping[str, str]) -> SignalPlan:
-    """signals : channel -> "Message.Signal", in the order of the channels. Raises LinkError."""
+    """The plan of a DBC file. signals : channel -> "Message.Signal", in the order of the channels. Raises LinkError."""
     database = load_dbc(dbc)
     if not signals:
         raise LinkError('the signal map is empty: give channel = "Message.Signal" for each channel')
@@ -251,7 +251,7 @@ def compile_plan(dbc: bytes, signals: Mapping[str, str]) -> SignalPlan:
 def _messages(
     database: Database, message: Any, channels: list[tuple[int, list[tuple[Conditions, Field]]]]
 ) -> list[Message]:
-    """Channels that are on the same pages make one; those on every page go with the first of the others."""
+    """Messages of one DBC message: one for the channels of each set of pages; unpaged channels join the first one."""
     groups: dict[tuple[Conditions, ...], list[tuple[int, list[Field]]]] = {}
     for column, pages in channels:
         key = tuple(conditions for conditions, _ in pages)
@@ -273,7 +273,7 @@ def _messages(
 
 
 def _conditions(message: Any, signal: Any) -> Conditions:
-    """What the multiplexers above a signal must hold, the outermost first."""
+    """Values that the multiplexers above a signal must have, the outermost multiplexer first."""
     out: list[tuple[Bits, frozenset[int]]] = []
     while signal.multiplexer_ids and signal.multiplexer_signal and len(out) < len(message.signals):
         chooser = next(each for each in message.signals if each.name == signal.multiplexer_signal)
@@ -318,7 +318,7 @@ def _identifier(message: Any) -> int:
 
 
 def _match(database: Database, message: Any) -> tuple[int, int]:
-    """Identifier and mask."""
+    """Identifier and mask by which frames of a DBC message are recognised."""
     mask, identifier = 0xFFFF_FFFF, _identifier(message)
     if _is_j1939(database, message):
         addressed = (identifier >> 16) & 0xFF < 240
