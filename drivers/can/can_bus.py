@@ -19,7 +19,7 @@ from .can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 from .socketcan import BulkReceiver, KernelQueue, check_up
 
 MAX_BATCH = 1024
-BLAME_S = 1.0  # a host that was too slow is so several times in a row
+BLAME_S = 1.0  # losses of a slow host come several times in a row
 SPIN_SHARE = 0.15  # of a wait for nothing spent computing: the interface spins on a dead connection
 
 
@@ -90,7 +90,7 @@ class BusSource:
         self._bulk: BulkReceiver | None = None
         self._events: list[Event] = []
         self._spins = 0
-        self._lost = 0  # frames the kernel threw away, until we have read past that place
+        self._lost = 0  # frames that the kernel dropped, until the reader has passed their place
         self._blamed_until_s = 0.0
 
     def open(self) -> None:
@@ -124,7 +124,7 @@ class BusSource:
         return None
 
     def _look_for_losses(self, queue: KernelQueue, received: int) -> None:
-        """What the kernel lost lies behind all that it held then: blame it until a second after the queue was empty."""
+        """Count kernel losses. They lie behind the queued frames and explain gaps until a second after these."""
         now_s = time.monotonic()
         lost = queue.lost()
         self._lost += lost
@@ -137,7 +137,7 @@ class BusSource:
             self._events.append(Event("error", "kernel_overflow", text, "overflow"))
 
     def _receive_all(self, timeout_s: float) -> CanFrames | None:
-        """What python-can's interface has, one message at a time."""
+        """Frames of python-can's interface, one message at a time."""
         frames: list[tuple[int, bytes, int]] = []
         wait_s = timeout_s
         try:

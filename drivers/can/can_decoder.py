@@ -1,4 +1,4 @@
-"""Protocol v1 on CAN: frames in, readings out. Pure: no I/O, no clock of its own, never raises on wire data."""
+"""Protocol v1 on CAN: frames in, readings out. Pure: no I/O, no clock, never raises on wire data."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class CanDecoder:
         self._axis.cause("crc" if short else "version")
 
     def _timed(self, frames: SampleFrames, info: Info, t_host_ns: int) -> SampleFrames:
-        """Frames without a stamp of their own take the last sync frame's, if that is fresh."""
+        """The frames, with the time of the last sync frame if they carry none and it is recent."""
         if self._sync is None or t_host_ns - self._sync.t_host_ns > SYNC_FRESH_NS or len(frames) == 0:
             return frames
         index, time_us = self._sync.index, self._sync.time_us
@@ -222,7 +222,7 @@ class CanDecoder:
         self._use(self._rate.mark(index, protocol.SYNC_MODULUS, time_us, t_host_ns), t_host_ns, out)
         info = self._device.info or info
         if not self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns), protocol.SYNC_MODULUS):
-            return  # the next one closes this window too, if it was this one that is wrong
+            return  # if this sync frame is wrong, the next one closes the window
         self._axis.begin(index, flags >> 4, time_us, t_host_ns)
         frames = self._classic.sync(index, flags >> 4, time_us, info.rate_hz, len(info.signals), t_host_ns)
         if frames is not None:

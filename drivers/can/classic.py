@@ -1,7 +1,7 @@
 """Classic CAN samples: a 4-bit counter places a frame only modulo 16, so whole windows are placed between sync frames.
 
-A window whose counters do not fit the sync frames on its two sides could be shifted by 16 samples somewhere. Nothing
-in it can be trusted: it is dropped, and becomes a gap of known size.
+A window whose counters do not fit the sync frames on its two sides could be shifted by 16 samples somewhere. No sample
+of the window can be trusted: the window is dropped, and becomes a gap of known size.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ClassicWindow:
     def sync(
         self, index: int, epoch: int, time_us: int, rate_hz: float, channels: int, t_host_ns: int
     ) -> SampleFrames | None:
-        """Close the window at this sync frame and place its samples; None if there is nothing to trust."""
+        """Close the window at this sync frame and place its samples; None if no sample can be trusted."""
         start, held = self._start, self._payload
         self._payload, self._held, self._start = [], 0, (index, epoch, time_us)
         if start is None or start[1] != epoch or not held:

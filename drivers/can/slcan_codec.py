@@ -1,8 +1,8 @@
 """slcan (LAWICEL, with CAN FD lines): bytes in, CAN frames out, a whole buffer at once. Pure; never raises.
 
-A line is exact or it is nothing: a digit missing anywhere makes it a damaged line, because a frame one byte short
-would otherwise pass. Adapters that append time stamps append them to every line, so the first good lines decide
-whether a line ends with one.
+A line must be exact: a digit missing anywhere makes a damaged line, because a frame one byte short would otherwise
+pass. Adapters that append time stamps append them to every line, so the first good lines decide whether lines end with
+a stamp.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .can_frames import EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 
 MINUTE_MS, WORD_MS = 60_000, 65_536  # stamps count to either
-QUIET_MS = 2000  # by which the host's clock says which: it reads late, but not so late
+QUIET_MS = 2000  # by which the host's clock decides between the two: reads are never so late
 MAX_LINE = 160  # the longest is 1 + 8 + 1 + 128 + 8
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
@@ -173,7 +173,7 @@ class SlcanCodec:
         self._damaged_run = 0
         self._stamp_ms: int | None = None
         self._stamp_ns = 0
-        self._wraps_at_ms: int | None = None  # once it is sure
+        self._wraps_at_ms: int | None = None  # once it is certain
 
     def reset(self) -> None:
         self._tail, self._overlong, self._stamp_digits, self._damaged_run = b"", False, -1, 0
@@ -219,9 +219,9 @@ class SlcanCodec:
         return np.asarray(times)
 
     def _modulus_of(self, stamps: NDArray[np.int64], t_host_ns: int) -> int:
-        """What the stamps count to: a minute (LAWICEL), or all of 16 bit, which one beyond a minute says.
+        """The modulus of the stamps: a minute (LAWICEL), or 16 bit, which a stamp beyond a minute shows.
 
-        Until then an adapter may have wrapped while nothing came: what fits the host's clock.
+        Until then the stamps may have wrapped in a pause: the modulus that fits the host's clock is used.
         """
         if self._wraps_at_ms is None and int(stamps.max()) >= MINUTE_MS:
             self._wraps_at_ms = WORD_MS

@@ -1,4 +1,4 @@
-"""Linux's SocketCAN: is the interface up, how many frames its queue threw away, and many frames a system call."""
+"""Linux's SocketCAN: state of the interface, frames lost in its queue, and many frames a system call."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ class KernelQueue:
 
     def _drops(self) -> int:
         try:
-            told = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 64)
+            info = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 64)
         except OSError:
             return 0
-        values = struct.unpack(f"{len(told) // 4}I", told)
+        values = struct.unpack(f"{len(info) // 4}I", info)
         self.empty = values[0] == 0
         return int(values[_SK_MEMINFO_DROPS]) if len(values) > _SK_MEMINFO_DROPS else 0
 

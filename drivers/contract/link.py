@@ -1,4 +1,4 @@
-"""The part every live driver shares: open, read, lose the link, come back, account for what was missed."""
+"""The base of every live driver: open, read, detect a lost link, reopen it, account for missing samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SLICE_S = 0.1  # longest wait inside a source: closing takes no longer
 BACKOFF_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to reopen, the last for ever
 SILENT_S = 1.0
 MUTE_S = 2.0  # frames come, but no samples; a device has this long to describe itself
-AWAY_S = 3.0  # a link that is lost for longer is said why it cannot be opened again
+AWAY_S = 3.0  # after this time, a notice says why a lost link cannot be opened again
 
 Data = TypeVar("Data")
 Out = TypeVar("Out", covariant=True)
@@ -28,7 +28,7 @@ class LinkLost(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a source noticed that is no data.
+    """Something that a source noticed besides its data.
 
     level, code, text : as of a Notice.
     cause : reason of a gap that may follow; "" if no samples are missing.
@@ -69,14 +69,14 @@ class Decoder(Protocol[In]):
         ...
 
     def finish(self, t_host_ns: int) -> list[Reading]:
-        """What was held until more is known: nothing follows."""
+        """Readings of the data that is held, at the end of the stream."""
         ...
 
 
 class Link:
     """A driver made of a source and a decoder (see drivers.contract.reading.Driver).
 
-    mute_s : without samples, though frames come, before that is told.
+    mute_s : time with frames but without samples before a notice says so, s.
     """
 
     def __init__(self, kind: str, target: str, source: Source[Data], decoder: Decoder[Data]) -> None:
@@ -94,7 +94,7 @@ class Link:
         self._attempt = 0
         self._next_try_s = 0.0
         self._lost_s = 0.0
-        self._away = ""  # why it cannot be opened again, as last told
+        self._away = ""  # why it cannot be opened again, as last reported
         self._last_data_s = 0.0
         self._silent = False
         self._last_samples_s = 0.0
@@ -163,7 +163,7 @@ class Link:
         return list(self._decoder.notices.take())
 
     def _watch_samples(self, out: list[Reading], now_ns: int) -> None:
-        """A device may describe itself, or others on its bus talk, while its samples stay away."""
+        """Report a device that sends frames but no samples: it describes itself, or others on its bus talk."""
         if any(isinstance(reading, Block) for reading in out):
             self._last_samples_s, self._mute = time.monotonic(), False
         elif not self._mute and time.monotonic() - self._last_samples_s > self.mute_s:

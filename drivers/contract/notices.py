@@ -1,4 +1,4 @@
-"""What an operator reads, at most once a second for each kind: a bad wire must not flood the log."""
+"""Notices for the operator, at most once a second for each kind: a bad wire must not flood the log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ INTERVAL_NS = 1_000_000_000
 
 
 class Notices:
-    """Collects notices between two reads. The first of a kind is told at once; later ones are counted and summed up."""
+    """Collects notices between two reads. The first of a kind is reported at once, later ones are counted."""
 
     def __init__(self) -> None:
         self._ready: list[Notice] = []

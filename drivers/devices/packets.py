@@ -18,7 +18,7 @@ MAX_PAYLOAD = 64  # bytes of a frame that are kept, as of CAN FD
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Packets:
-    """What a piece of the stream held.
+    """The sound packets of a piece of the stream.
 
     frames : a packet each, or a field of one; their times are not set. holes : (n + 1,) damaged packets before each,
     and behind the last.
@@ -54,14 +54,14 @@ class Format:
 
 
 class PacketFramer:
-    """Looks for sound packets at every place at once; after damage the next sound one is found by itself."""
+    """Finds sound packets at every place of the stream, so that it recovers after damage."""
 
     def __init__(self, form: Format) -> None:
         self._form = form
         self._tail = b""
         self._junk = 0  # bytes since the last sound packet that belong to none
         self._typical = 0  # length of a sound packet; 0 before the first
-        self._begun = False
+        self._synchronised = False
 
     def reset(self) -> None:
         """Forget what is half read: the line was closed in between."""
@@ -97,12 +97,12 @@ class PacketFramer:
         return Packets(frames=frames, holes=holes)
 
     def _damaged(self, junk: I64Array) -> I64Array:
-        """Packets that so many bytes were; those before the first sound one are the middle of a stream."""
+        """Estimated number of packets in damaged bytes. Bytes before the first sound packet count as none."""
         if not len(junk):
             return junk
         out = np.where(junk > 0, np.maximum(1, np.rint(junk / max(self._typical, 1))), 0).astype(np.int64)
-        if not self._begun:
-            out[0], self._begun = 0, True
+        if not self._synchronised:
+            out[0], self._synchronised = 0, True
         return out
 
 

@@ -92,9 +92,9 @@ def make_driver(
 ) -> Driver:
     """A driver for this link, not yet opened.
 
-    dbc, signals : the frames of a device that does not speak protocol v1, and channel -> "Message.Signal" in the order
-    of the channels. expected : what the rig file says; differences become notices. device : what `virtual:` connects.
-    Raises LinkError for a combination that makes no sense. A `replay:` driver is the log reader's business.
+    dbc, signals : for a device that does not speak protocol v1: its DBC file, and channel -> "Message.Signal" in the
+    order of the channels. expected : values of the rig file; differences become notices. device : the simulated device
+    of `virtual:`. Raises LinkError for a combination that makes no sense. The log reader makes `replay:` drivers.
     """
     from drivers.contract.link import Link
 
@@ -170,7 +170,7 @@ def _can_decoder(
 
 
 class _Options:
-    """The options after the question mark; each is taken once, and what is left over is an error."""
+    """The options after the question mark; each is taken once, and an option that remains is an error."""
 
     def __init__(self, url: str, kind: str, query: str) -> None:
         self._where = f"link {url!r}"
@@ -234,7 +234,7 @@ class _Options:
         return {name: int(text) if text.isdigit() else text for name, text in values.items()}
 
     def pass_on(self, allowed: set[str]) -> str:
-        """What belongs to another's URL, as its query."""
+        """The options for the URL of another library, as its query."""
         self._asked |= allowed
         found = [name for name in self._left if name in allowed]
         pairs = [(name, self._left.pop(name)) for name in found]

@@ -16,7 +16,7 @@ BITRATE_COMMANDS = {
     10_000: "S0", 20_000: "S1", 50_000: "S2", 100_000: "S3", 125_000: "S4", 250_000: "S5", 500_000: "S6",
     750_000: "S7", 800_000: "S7", 1_000_000: "S8", 83_300: "S9",
 }  # fmt: skip
-MOST_CAUSES = 1000  # damaged lines in a row that are told apart
+MOST_CAUSES = 1000  # damaged lines in a row that are counted one by one
 DATA_BITRATES = {1_000_000: "Y1", 2_000_000: "Y2", 4_000_000: "Y4", 5_000_000: "Y5", 8_000_000: "Y8"}
 
 

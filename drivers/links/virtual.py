@@ -64,14 +64,14 @@ class VirtualSource:
         bus = open_bus(self._sender)
         try:
             pump(self._device, CanSender(bus, stop), self._speed, stop)
-        except Exception as error:  # noqa: BLE001 - told by events() in the reading thread
+        except Exception as error:  # noqa: BLE001 - reported by events() in the reading thread
             self._failure = error
         finally:
             bus.shutdown()
 
 
 class CanSender:
-    """Sends a device's frames on a python-can bus; damaged ones never arrive, as a controller would have it."""
+    """Sends a device's frames on a python-can bus; damaged frames never arrive, as with a real controller."""
 
     def __init__(self, bus: Any, stop: threading.Event) -> None:
         import can

@@ -1,8 +1,8 @@
 """Puts frames on one absolute sample index: every sample is in exactly one Block or one Gap.
 
 The counter of a frame says where it belongs modulo its wrap; the device clock (or, without one, the host's) says how
-many wraps went by, and whether to believe the counter. Late frames are dropped and named: their place was declared
-a gap, and the axis never moves backwards.
+many wraps went by, and whether to believe the counter. Late frames are dropped and reported, because their
+place was declared a gap: the axis never moves backwards.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from .neighbours import Neighbours, follows
 from .protocol import SampleFrames
 from .starts import Starts
 
-# what a hole is blamed on, first match wins
+# reasons of a gap; the first that applies is used
 _CAUSES_BY_PRIORITY = ("reconnect", "stuck", "silent", "version", "crc", "overflow")
-FAR_S = 86_400.0  # a device's clock this far ahead of what passed here is another start's
-AHEAD_S, AHEAD_SHARE = 5.0, 0.2  # so are counter and clock this much ahead of it, and by this share of it
+FAR_S = 86_400.0  # a device clock this far ahead of the host's belongs to another start
+AHEAD_S, AHEAD_SHARE = 5.0, 0.2  # so do counter and clock this far ahead of the host's clock, and by this share
 SLACK_S, SLACK_SHARE = 2e-4, 0.25  # of a stamp; of a frame
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
@@ -42,7 +42,7 @@ class _Anchor:
 
 
 class Continuity:
-    """Shared by all links. `cause(reason)` says why samples may be missing before the next frame."""
+    """Sample index of one device, for all links. `cause(reason)` : why samples may be missing before the next frame."""
 
     def __init__(self, stats: LinkStats, notices: Notices, starts: Starts | None = None) -> None:
         self.rate_hz = 1.0
@@ -53,14 +53,14 @@ class Continuity:
         self._anchor: _Anchor | None = None
         self._last_counts: NDArray[np.int32] | None = None
         self._causes: set[str] = set()
-        self._stood = 0.0  # samples for which nothing came before frames without a time that count on
-        self._late_s = 0.0  # the last frames came so much later than the promptest of this start
+        self._stood = 0.0  # samples of a pause before frames without a time whose counter continues
+        self._late_s = 0.0  # delay of the last frames against the promptest of this start
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
         self._neighbours = Neighbours()
         self._checked = True  # frames have check sums
 
     def describe(self, rate_hz: float) -> None:
-        """A new description of the device: what comes is not a continuation of what came."""
+        """Take the rate of a new description: later frames do not continue the earlier ones."""
         self.rate_hz = rate_hz
         if self._anchor is not None:
             self._anchor.epoch = -1
@@ -143,7 +143,9 @@ class Continuity:
             and self.index - last.index < f.modulus and same_start
         ):  # fmt: skip
             ahead = self.index + (stop - start - 1) * rows - last.index
-            final_us = last.time_us + round(ahead * 1e6 / self.rate_hz)  # till a frame with a time says how many wraps
+            final_us = last.time_us + round(
+                ahead * 1e6 / self.rate_hz
+            )  # until a frame with a time shows how many wraps passed
         if last is not None and last.time_us is not None and final_us is not None and same_start:
             passed_s = (t_host_ns - last.t_host_ns) / 1e9 - (final_us - last.time_us) / 1e6
             self._late_s = max(0.0, self._late_s + passed_s)
@@ -151,7 +153,7 @@ class Continuity:
         self._starts.taken()
         out.append(Block(self.index, counts, t_host_ns, None if time_us is None else time_us * 1000))
         self.index += len(counts)
-        self._causes &= {"overflow"}  # the queue that overflowed still held good frames: its hole comes later
+        self._causes &= {"overflow"}  # the queue that overflowed still held good frames: its gap comes later
         self._last_counts = f.counts[stop - 1]
         self._anchor = _Anchor(
             position=int(f.position[stop - 1]), rows=rows, index=self.index - rows, time_us=final_us,
@@ -183,7 +185,7 @@ class Continuity:
         if not timed and f.modulus - ahead <= LATE_FRAMES * rows and host < 0.5 * f.modulus:
             total = ahead - f.modulus  # a little behind, and no time for a whole wrap
         elif not timed and (total < 0 or (ahead == last.rows and "reconnect" not in self._causes)):
-            total = ahead  # it was the host that stood still, and this came late; or the device: a time will say
+            total = ahead  # either the host paused or the device did: a later frame with a time shows which
             self._stood += host - ahead if host - ahead > 0.5 * self.rate_hz else 0.0
         elif timed:
             stood, self._stood = self._stood, 0.0
@@ -195,11 +197,11 @@ class Continuity:
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
         slack = 0.5 * rows + self._slack(rows) + min(1e-4 * abs(elapsed), f.modulus / 64)
-        # samples that never were, up to centuries of them, would be a gap
+        # without this test, a wrong clock would declare a gap of samples that never existed
         claimed, most_s = elapsed if timed else total, FAR_S if ahead == last.rows else AHEAD_S
         far = claimed - (1.0 + AHEAD_SHARE) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
         if far and timed and total > 0 and claimed - host < FAR_S * self.rate_hz and self._goes_on(last):
-            far = abs(total - elapsed) > slack  # it is we who were behind, and what lay between is lost
+            far = abs(total - elapsed) > slack  # the host was behind: the samples in between are lost
         if total < 0 or far or (timed and elapsed < -slack):
             if not self._starts.began(t_host_ns):
                 return self._undescribed(stop - start, t_host_ns)
@@ -224,28 +226,28 @@ class Continuity:
         return 0
 
     def _goes_on(self, last: _Anchor) -> bool:
-        """Behind a reconnect the device says that it is the one it was, in the start it was in."""
+        """Whether the device describes itself after a reconnect as the same device in the same start."""
         return self._checked and last.epoch > 0 and "reconnect" in self._causes and self._starts.recognised
 
     def _undescribed(self, frames: int, t_host_ns: int) -> int:
-        """Another device, or one that began again and may have other settings: its next records will say."""
+        """Drop frames after a restart or of another device until its records describe them. Returns their number."""
         text = "frames after a restart that the device has not described yet: dropped until it does"
         self._notices.add(t_host_ns, "warning", "undescribed", text)
         self._stats.count("undescribed_frames", frames)
         return frames
 
     def _stuck(self, count: int, t_host_ns: int, out: list[Reading]) -> None:
-        """The counter stands still: these samples have no place, but their time has passed."""
+        """Declare samples missing whose counter stands still: they have no place, but their time has passed."""
         self._notices.add(t_host_ns, "error", "stuck_counter", "the device repeats one counter value: dropped")
         self._stats.count("stuck_frames")
         self.lose(count, "stuck", out)
 
     def _changed(self, f: SampleFrames, start: int) -> bool:
-        """Does a frame with the last frame's counter carry other samples?"""
+        """Whether a frame with the counter of the last frame carries other samples."""
         return self._last_counts is not None and not np.array_equal(self._last_counts, f.counts[start])
 
     def _late(self, last: _Anchor, total: int, f: SampleFrames, start: int, stop: int, t_host_ns: int) -> int:
-        """Frames of this run that lie behind the axis: dropped and named."""
+        """Report the frames of this run that lie behind the axis. Returns how many are to be dropped."""
         rows = f.counts.shape[1]
         behind: int = min(stop - start, -(-(last.rows - total) // rows))
         first = last.index + total
@@ -266,7 +268,7 @@ class Continuity:
             self._causes.clear()
 
     def _restart(self, why: str, arrived: int, t_host_ns: int, out: list[Reading]) -> None:
-        """The device began again: how long it was away only the host's clock can say."""
+        """Account for a restart of the device. The host's clock gives the time of its absence."""
         last = self._anchor
         host = 0 if last is None else round((t_host_ns - last.t_host_ns) * self.rate_hz / 1e9)
         already = 0 if last is None else self.index - last.index - last.rows

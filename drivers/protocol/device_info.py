@@ -1,4 +1,4 @@
-"""Assembles the device's description from info records; tells when it is complete, new, or of another version."""
+"""Assembles the device's description from info records; detects a complete, a new, and an unreadable description."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ MIXED_NS = 3_000_000_000  # a device describes itself each second
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
-    """A device that described itself; times : how often lately."""
+class _Sender:
+    """A device that described itself. times : number of its recent records."""
 
     serial: int
     t_host_ns: int
@@ -40,7 +40,7 @@ class _Heard:
 class DeviceInfo:
     """`info` and `layout` are None until one record of every channel has come.
 
-    unchecked : the link has no check sums, so that another description of the same start has to be said twice.
+    unchecked : the link has no check sums, so that another description of the same start must come twice.
     """
 
     def __init__(self, notices: Notices, expected: Expected | None = None, unchecked: bool = False) -> None:
@@ -54,8 +54,8 @@ class DeviceInfo:
         self._unchecked = unchecked
         self._twice: dict[int, bool] = {}  # the last two records of a channel say the same
         self._start: tuple[object, ...] = ()  # whose description `info` is
-        self._heard: list[_Heard] = []  # the last one last
-        self._mixed_ns: int | None = None  # when two were last heard in turn
+        self._senders: list[_Sender] = []  # recent senders, the latest last
+        self._mixed_ns: int | None = None  # when records of two devices last came in turn
         self._parts: dict[int, list[bytes]] = {}
 
     def record(self, data: bytes, t_host_ns: int) -> Info | None:
@@ -101,21 +101,22 @@ class DeviceInfo:
         self.info = info
 
     def _settled(self, signals: tuple[Signal, ...]) -> bool:
-        """Neither a damaged record nor half of another description."""
+        """Whether the description is neither damaged nor half of another description."""
         if len({signal.name for signal in signals}) < len(signals):
             return False
         return not self._unchecked or all(self._twice[channel] for channel in range(len(signals)))
 
     def mixed(self, t_host_ns: int) -> bool:
-        """Two devices send with the same identifiers: nothing says whose a sample is."""
+        """Whether two devices send with the same identifiers, so that the device of a sample is unknown."""
         return self._mixed_ns is not None and t_host_ns - self._mixed_ns < MIXED_NS
 
     def _listen(self, serial: int, t_host_ns: int) -> None:
-        """Another device after one may have taken its place; the first again behind it, and there are two.
+        """Detect two devices with the same identifiers: the first describes itself again after the second.
 
-        Each has to be heard twice: on a link without check sums a damaged record names a device that is none.
+        A second device alone may be a replacement. Each device must be received twice: on a link without check sums a
+        damaged record may carry the number of a device that does not exist.
         """
-        known = [one for one in self._heard if t_host_ns - one.t_host_ns < MIXED_NS]
+        known = [one for one in self._senders if t_host_ns - one.t_host_ns < MIXED_NS]
         before = next((one.times for one in known if one.serial == serial), 0)
         if before and known[-1].serial != serial and known[-1].times > 1:
             self._mixed_ns = t_host_ns
@@ -126,7 +127,7 @@ class DeviceInfo:
             )
             self._notices.add(t_host_ns, "error", "two_devices", text)
         others = [one for one in known if one.serial != serial]
-        self._heard = [*others[-3:], _Heard(serial, t_host_ns, before + 1)]
+        self._senders = [*others[-3:], _Sender(serial, t_host_ns, before + 1)]
 
     def part(self, payload: bytes, t_host_ns: int) -> Info | None:
         """Take one classic CAN part of a record: parts must come in order, a missing one voids the record."""

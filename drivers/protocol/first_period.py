@@ -1,4 +1,4 @@
-"""The period of a device from its first samples: when they are enough, and what is believed where they are uneven."""
+"""The period of a device from its first samples: how many samples are needed, and the choice if they are uneven."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class FirstPeriod:
-    """used : to begin with. measured : what was found, None if nothing is sure. even : no sample was held up."""
+    """The first period. used : to start with. measured : None if it is not certain. even : no sample was held up."""
 
     used: Period
     measured: Period | None
@@ -30,7 +30,7 @@ class FirstPeriod:
 
 
 def first_period(times: I64Array, nominal_ns: float | None, final: bool, least: int) -> FirstPeriod | None:
-    """The period of these arrivals; None if more are needed. final : no more come. least : samples to measure over."""
+    """The period of these arrivals; None if more are needed. final : no more come. least : samples required."""
     n, span_s = len(times), float(times.max() - times.min()) / 1e9
     few = least <= LEAST_SAMPLES and n >= FEW_SAMPLES and span_s >= ENOUGH_S
     if not (final or few or (n >= least and span_s >= LEAST_S)):
@@ -51,7 +51,7 @@ def first_period(times: I64Array, nominal_ns: float | None, final: bool, least: 
 
 
 def _before_uneven(times: I64Array, nominal_ns: float | None, least: int) -> tuple[Period, int] | None:
-    """The period of so many samples, which came before some were lost or held up; None if it is not sure."""
+    """The period of the samples before the first loss or delay, and their number; None if it is not certain."""
     for n in (len(times) // 2, len(times) // 4):
         if n >= least and float(np.ptp(times[:n])) / 1e9 >= LEAST_S:
             found = estimate_period(times[:n], nominal_ns)

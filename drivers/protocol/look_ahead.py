@@ -1,7 +1,7 @@
-"""How far ahead to look before a sample counts as missing: what was held up comes late, and then faster than sent.
+"""The look-ahead before a sample counts as missing: frames that were held up come late, and then faster than sent.
 
-A loss makes later samples late for good. What a host, an adapter or a gateway held up is late for a while only, and
-what comes behind it shows that. So a sample counts as missing only after a look-ahead in which nothing was held up.
+A loss makes later samples late for good. Samples that a host, an adapter or a gateway held up are late for a while
+only, as later samples show. So a sample counts as missing only after a look-ahead in which no sample was held up.
 """
 
 from __future__ import annotations

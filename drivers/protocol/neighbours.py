@@ -1,4 +1,4 @@
-"""Does a frame's head (counter, clock, number of the start) go on from that of the frame before?"""
+"""Whether the head of a frame (counter, clock, number of the start) continues that of the frame before."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def follows(f: SampleFrames, rate_hz: float, steps: int = 1, slack_us: float = 0
 
 
 class Neighbours:
-    """For a link without check sums: a frame that fits neither the one before nor the one behind, which fit each other.
+    """Finds damaged frames without check sums: they fit neither neighbour, while the neighbours fit each other.
 
-    A frame that does not go on from the last one waits for the next, which says whether it is wrong or the stream is.
+    A frame that does not continue the last one waits for the next frame, which shows whether frame or stream is wrong.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,9 @@
 """The sampling period of a device that sends no counter, from when its samples arrived.
 
 Arrivals are late by queues and bursts, some samples never come, and stamps may be coarse. The mean distance of
-arrivals is the period only if nothing is lost; a loss always makes distances longer. So the period is read from what
-most distances agree on: of neighbours where they are even, else over so many samples that bursts average out.
+arrivals is the period only if nothing is lost; a loss always makes distances longer. So the period is the
+value on which most distances agree: distances of neighbours where they are even, else over so many samples that bursts
+average out.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """ns : the sampling period. error_rel : how far it may be off. exact : each stamp places its own sample.
+    """A sampling period. ns : its value. error_rel : its uncertainty. exact : each stamp places its own sample.
 
-    sure : False where arrivals neither agree on a distance nor follow their number: some were lost, or held up.
+    sure : False where arrivals neither agree on a distance nor follow their number, because of losses or delays.
     """
 
     ns: float
@@ -52,7 +53,7 @@ class Period:
 
 
 def estimate_period(t_ns: I64Array, nominal_ns: float | None = None) -> Period | None:
-    """The period behind these arrivals, in order; None of too few, or of stamps that do not go on.
+    """The period of these arrivals, in order; None for too few arrivals, or stamps that do not increase.
 
     nominal_ns : believed where stamps of a coarse resolution fit it and another period as well. Arrivals that lie on a
     finer lattice, and come no faster than it on the mean, lie on that of the reads of an adapter.
@@ -104,7 +105,7 @@ def _times(steps: F64Array) -> F64Array:
 
 
 def _even(steps: F64Array, resolution_ns: float) -> Period | None:
-    """Stamps that lie on a lattice, apart from a few late ones; the period is that of the lattice."""
+    """The period of the lattice on which the stamps lie, apart from a few late ones; None if they lie on none."""
     period = float(np.median(steps))
     if period <= 0.0:
         return None
@@ -125,7 +126,7 @@ def _even(steps: F64Array, resolution_ns: float) -> Period | None:
 
 
 def _over_many(t_ns: F64Array, resolution_ns: float) -> Period | None:
-    """The distance over so many samples that it varies least."""
+    """The period as the mean distance over the number of samples at which the distance varies least."""
     n, best, least, scale = len(t_ns), None, np.inf, 0.0
     for power in range(int(np.log2(max(n // 4, 1))), -1, -1):
         width = 1 << power
@@ -158,7 +159,7 @@ def _straight(t_ns: F64Array, period_ns: float) -> Period | None:
 
 
 def off_nominal(found: Period, nominal_ns: float) -> bool:
-    """Whether a measured period is not the nominal one: by more than an oscillator is off, and than it may be off."""
+    """Whether a measured period differs from the nominal one by more than an oscillator's error and its uncertainty."""
     return abs(found.ns / nominal_ns - 1.0) > max(NOMINAL_REL, 2.0 * found.error_rel)
 
 

@@ -1,7 +1,7 @@
 """The rate that a device states, held against its own clock and the rig file before its samples are used.
 
-One wrong field would make every frequency wrong, or a session that nothing can run. The first frames after a
-description wait until their counters and clock have said how fast they come.
+A wrong rate would make every frequency wrong, or the session impossible. The first frames after a description wait
+until their counters and clock show their rate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.contract.reading import Info
 from .period import round_rate
 from .protocol import TIME_MODULUS_US, SampleFrames
 
-STATED_REL = 0.02  # a stated rate that the frames bear out to within this is believed
+STATED_REL = 0.02  # a stated rate is used if the frames agree with it to within this
 LEAST_STEPS = 2  # from frame to frame
 MOST_GAP = 64  # frames between two whose distance counts
 MOST_HELD, MOST_HELD_NS = 4096, 500_000_000  # frames; and so long
@@ -33,26 +33,28 @@ class StatedRate:
     _held: list[SampleFrames] = field(default_factory=list)
     _: KW_ONLY
     _marks: list[tuple[int, int]] = field(default_factory=list)
-    _begun_ns: int = 0
+    _start_ns: int = 0
     _modulus: int = 1
 
     def begin(self, info: Info, t_host_ns: int, timed: bool) -> Info | None:
-        """A new description has come. timed : its frames have times of their own; else it waits for sync frames only
-        if it is doubtful. The description, if nothing is to be waited for."""
+        """The new description if it can be used at once, else None.
+
+        timed : its frames carry times; else a description waits for sync frames only if it is doubtful.
+        """
         known = self.rig_hz is not None and abs(info.rate_hz / self.rig_hz - 1.0) <= STATED_REL
         if not timed and _possible(info.rate_hz) and (known or self.rig_hz is None):
             self.info, self._held = None, []
             return info
-        self.info, self._held, self._marks, self._begun_ns = info, [], [], t_host_ns
+        self.info, self._held, self._marks, self._start_ns = info, [], [], t_host_ns
         return None
 
     def admit(self, frames: SampleFrames, t_host_ns: int) -> tuple[Info | None, list[SampleFrames]]:
-        """What to announce, if it is decided now, and the frames that may be used."""
+        """The description to announce, if it is decided now, and the frames that may be used."""
         if self.info is None:
             return None, [frames]
         self._held.append(frames)
         measured_hz = self._marked_hz() or _measured_hz(self._held)
-        waited = t_host_ns - self._begun_ns > MOST_HELD_NS or sum(map(len, self._held)) >= MOST_HELD
+        waited = t_host_ns - self._start_ns > MOST_HELD_NS or sum(map(len, self._held)) >= MOST_HELD
         return (None, []) if measured_hz is None and not waited else self._end(measured_hz, t_host_ns)
 
     def mark(self, index: int, modulus: int, time_us: int, t_host_ns: int) -> tuple[Info | None, list[SampleFrames]]:
@@ -99,7 +101,7 @@ def _possible(rate_hz: float) -> bool:
 
 
 def _measured_hz(parts: list[SampleFrames]) -> float | None:
-    """Samples by the device's clock; None of too few frames, or without times."""
+    """Sampling rate by the device's clock; None for too few frames, or without times."""
     if any(part.time_us is None for part in parts):
         return None
     modulus, time_modulus = parts[-1].modulus, parts[-1].time_modulus

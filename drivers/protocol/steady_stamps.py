@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_JUMP_NS = 50_000_000  # what is less is not told from a frame that is read late; services that keep time slew then
-LEAST_STEP_SHARE = 0.9  # of a jump, between two stamps; else frames were read late, and are no longer
+LEAST_JUMP_NS = 50_000_000  # a smaller jump may be a frame that is read late; time services slew smaller errors
+LEAST_STEP_SHARE = 0.9  # of a jump that lies between two stamps; else the earlier frames were read late
 
 I64Array = NDArray[np.int64]
 
@@ -14,11 +14,11 @@ I64Array = NDArray[np.int64]
 class SteadyStamps:
     """`take` counts on over a clock that was set forwards: no frame can be stamped later than it is read.
 
-    One that was set back shows in the stamps themselves (TimeAxis).
+    A clock that was set back shows in the stamps themselves (TimeAxis).
     """
 
     def __init__(self) -> None:
-        self.jumped_ns = 0  # forwards, of late; whoever tells it sets it to 0
+        self.jumped_ns = 0  # forwards, not reported yet; the caller that reports it sets it to 0
         self._set_ns = 0  # forwards, in all
         self._most_ns: int | None = None  # by which a stamp has been ahead of the steady clock at the read
         self._last_ns = 0

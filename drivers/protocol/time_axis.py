@@ -1,9 +1,9 @@
 """Places samples that carry no counter: arrival times give the index, at the device's true rate.
 
-A frame can come late (queues, bursts) but never early. So the earliest arrivals within a short look-ahead tell how
-many samples have gone by, and a sample is missing only if nothing catches up. The period is measured first, and
-followed: a clock that is off, or drifts, is no loss. A loss is placed where frames are known to be damaged, else at
-the first sample that shows it; where stamps come in bursts, that is uncertain by the length of a burst.
+A frame can come late (queues, bursts) but never early. So the earliest arrivals within a short look-ahead show how
+many samples have passed, and a sample is missing only if no later frame catches up. The period is measured first and
+then followed, so that a clock error or drift is no loss. A loss is placed where frames are known to be damaged, else
+at the first sample that shows it. Where stamps come in bursts, its place is uncertain by the length of a burst.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .first_period import LEAST_SAMPLES, first_period
 from .look_ahead import earliest_ahead, earliest_until, even_ends
 from .period import NOMINAL_REL, Period, off_nominal, round_rate
 
-LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
+LOOK_AHEAD_S = 1.0  # a logger needed up to 0.7 s to catch up after a stall
 MAX_LOOK_AHEAD = 4096  # samples
 MAX_DRIFT_REL = 1e-3  # relative rate error that is followed from piece to piece
 FOLLOWED_DRIFT_REL = 2e-4  # once it has been followed for long
@@ -32,8 +32,8 @@ LOOK_AGAIN_RATIO = 1.05  # of held samples, between two looks: each look costs a
 FLAT_SAMPLES = 0.4  # by which the earliest arrivals vary where nothing is missing
 MOST_UNSURE_REL = 2e-2  # of the period
 HISTORY_PIECES = 32  # over which the period is followed
-MOST_LATE_SHARE = 0.25  # of the look-ahead: what is later was held up, and is waited for
-CLOSE_SAMPLES = 0.35  # short of a whole sample, lateness counts as one: it never comes early
+MOST_LATE_SHARE = 0.25  # of the look-ahead: later frames were held up, and are waited for
+CLOSE_SAMPLES = 0.35  # lateness short of a whole sample by this counts as one: no sample comes early
 STEP_BACK_NS = 1_000_000
 FAR_NS, LEAP_NS = 86_400_000_000_000, 1_000_000_000
 
@@ -44,7 +44,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """index : of the oldest held samples. unsure : samples missing whose place is known to within `within` only."""
+    """Samples that were placed. index : of each. unsure : missing samples whose place is uncertain by `within`."""
 
     index: I64Array
     unsure: int = 0
@@ -54,8 +54,8 @@ class Placed:
 class TimeAxis:
     """`place` takes the times of new samples; indices of those that can be placed come out, the rest is held.
 
-    nominal_hz : rate that is said; the measured one is used where it is another.
-    learn : samples to measure the rate over; what comes first is held until then.
+    nominal_hz : stated rate; the measured rate is used where the two differ.
+    learn : samples over which the rate is measured; samples are held until then.
     """
 
     def __init__(self, nominal_hz: float | None, learn: int = LEAST_SAMPLES) -> None:
@@ -113,7 +113,7 @@ class TimeAxis:
         return placed
 
     def _without_leaps(self, t_ns: I64Array) -> I64Array:
-        """Count what is no passing of time: steps back, and leaps over days, which count as a second."""
+        """The times without steps back, and with each leap over days replaced by a second."""
         if len(t_ns) == 0:
             return t_ns
         steps = np.diff(t_ns, prepend=t_ns[:1] if self._last_ns is None else [self._last_ns])
@@ -130,7 +130,7 @@ class TimeAxis:
     def _known(self, lag: F64Array, ahead: int) -> I64Array | None:
         """(n,) samples before each that are known to be missing, so far; None if there are none.
 
-        A damaged frame that was no sample leaves frames behind it that would be early, which they cannot be.
+        If a damaged frame was no sample, the frames behind it would be early, which is impossible.
         """
         if not self.trust_hints or not self._hints.any():
             return None
@@ -183,7 +183,7 @@ class TimeAxis:
         return Placed(index, unsure, within)
 
     def _beyond(self, lag: F64Array, earliest: F64Array, final: bool) -> tuple[F64Array, int, BoolArray]:
-        """The earliest arrivals up to an even look-ahead, of how many samples they are known, and which came to one."""
+        """Earliest arrivals up to an even look-ahead, the number of samples with one, and which samples reached one."""
         n, ahead = len(lag), self._ahead()
         found = even_ends(lag, earliest, ahead, min(self._even_late), final)
         if found is None:
@@ -192,7 +192,7 @@ class TimeAxis:
         return earliest_until(lag, ends), int(np.searchsorted(ends, n, side="right")), settled
 
     def _flat(self, lag: F64Array, earliest: F64Array) -> Placed:
-        """Nothing is missing, nor does the clock drift by much: all in one."""
+        """Place all samples on one line: none is missing and the clock drifts little."""
         n = len(lag)
         last = earliest[-PIECE_SAMPLES:]
         base = _drift(_quantile(last, 0.5), self._unsure_rel * n)
@@ -215,7 +215,7 @@ class TimeAxis:
             self._latest, self._since_even = 0.0, 0
 
     def _apart(self, found: I64Array, level: int) -> int:
-        """How many of a piece to place: a step near its end goes to the next, which sees what comes behind it."""
+        """Samples of a piece to place now. A step near the end of the piece waits for the samples behind it."""
         steps = np.flatnonzero(np.diff(found, prepend=level))
         near = steps[steps > max(0.0, len(found) - self._late - 3.0)]
         return int(near[0]) if len(near) else len(found)
@@ -223,8 +223,8 @@ class TimeAxis:
     def _levels(self, raw: F64Array, level: int, whole: int, held: int, final: bool) -> tuple[I64Array, int]:
         """(n,) samples missing before each, and how many of these are certain.
 
-        A step up counts if it is more than frames have lately been late, or if it lasts for longer than a burst; while
-        it may still last, it waits.
+        A step up counts if it exceeds the recent lateness of frames, or lasts longer than a burst. Until then the step
+        waits.
         """
         n = len(raw)
         result = np.full(n, level, np.int64)
@@ -247,11 +247,10 @@ class TimeAxis:
     def _sharpen(
         self, missing: I64Array, lag: F64Array, level: int, here: slice, hints: I64Array | None
     ) -> tuple[int, int]:
-        """Move each step to where frames are known to be damaged. Returns samples whose place is unsure, and by how
-        many samples.
+        """Move each step to known damaged frames. Returns the samples of uncertain place, and their uncertainty.
 
-        A step shows at the first sample that has no earlier one behind it; the loss lies between that and the first
-        sample that comes in time for the new level.
+        A step shows at the first sample without an earlier arrival behind it. The loss lies between this sample and the
+        first sample that comes in time for the new level.
         """
         unsure = within = 0
         steps = np.flatnonzero(np.diff(missing[here], prepend=level)) + here.start
@@ -334,7 +333,7 @@ class TimeAxis:
                 self._unsure_rel = min(self._unsure_rel, max(self._least_unsure_rel, spread))
 
     def drifted(self) -> float | None:
-        """The rate of late, if it is no longer that of the axis; None if it is, or too little is known."""
+        """The recent rate if it differs from that of the axis; None if it does not, or too little is known."""
         if self.rate_hz is None or len(self._history) < HISTORY_PIECES // 2 or not self._of_late_ns:
             return None
         rate_hz = 1e9 / self._of_late_ns
@@ -342,13 +341,13 @@ class TimeAxis:
 
 
 def _with_damaged(times: I64Array, hints: I64Array) -> I64Array:
-    """Arrivals with one more, with the time of the next, for each frame damaged before it; at most a few for each."""
+    """Arrivals with each damaged frame added at the time of the next arrival; at most a few before each arrival."""
     few = np.minimum(hints, 8)
     return np.repeat(times, few + 1)
 
 
 def _quantile(values: F64Array, share: float) -> float:
-    """One of the values: numpy's own quantile takes ten times as long."""
+    """The value at this quantile, not interpolated; numpy's quantile takes ten times as long."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
 

@@ -1,4 +1,4 @@
-"""A simulated device on a link of its own: what `rotorscope simulate --serve LINK` runs."""
+"""A simulated device served on a separate link, for `rotorscope simulate --serve LINK`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def serve(
 
     link : `serial:pty`, `slcan:pty` (a new pseudo-terminal), `serial:PORT`, `slcan:PORT`, `serial:socket://HOST:PORT`
     (listens there; port 0 takes a free one; every reader gets the frames from when it comes on), or
-    `can:INTERFACE:CHANNEL`. ready(url) is told what to give to `run --link`. speed : None for as fast as the readers
+    `can:INTERFACE:CHANNEL`. ready(url) receives the name for `run --link`. speed : None for as fast as the readers
     take it; the device then waits for one. Raises LinkError.
     """
     config = parse_link(link)
@@ -70,7 +70,7 @@ def serve(
 
 
 class End(Protocol):
-    """The device's end of a byte stream. `fd` is None while nobody is connected; `gone` if nobody ever will be."""
+    """The device's end of a byte stream. `fd` : None while no reader is connected; `gone` : no reader can connect."""
 
     address: str
     gone: bool
@@ -178,7 +178,7 @@ class TcpEnd:
         return next((fd for reader in self.readers if (fd := reader.fd()) is not None), None)
 
     def accept(self) -> list[TcpReader]:
-        """Those that have come since the last call; those that have left are let go."""
+        """Readers that connected since the last call; readers that left are removed."""
         for reader in [r for r in self.readers if r.gone]:
             reader.close()
             self.readers.remove(reader)
@@ -200,7 +200,7 @@ class TcpEnd:
 
 
 class ToEach:
-    """Frames to every reader of a socket. In real time a slow one loses frames, and holds up no other."""
+    """Sends frames to every reader of a socket. In real time a slow reader loses frames, and delays no other."""
 
     def __init__(self, end: TcpEnd, serial: bool, stop: threading.Event) -> None:
         self._end, self._serial, self._stop = end, serial, stop
@@ -213,7 +213,7 @@ class ToEach:
             lost = [sender(frames, patient) for _, sender in self._senders]
             there = [n for n, (reader, _) in zip(lost, self._senders, strict=True) if not reader.gone]
             if there or not patient:
-                return min(there, default=0)  # what one of them has is not lost by the device
+                return min(there, default=0)  # a frame that one reader took is not lost
             if self._stop.wait(0.01):
                 return 0
 
@@ -241,7 +241,7 @@ class PortEnd:
 
 
 class ByteSender:
-    """Frames to bytes to the device's end. An slcan reader must have sent O before anything flows."""
+    """Sends frames as bytes to the device's end. An slcan reader must first send O."""
 
     def __init__(self, end: End, serial: bool, stop: threading.Event) -> None:
         self._end = end
@@ -293,7 +293,7 @@ class ByteSender:
         while self._backlog and not self._stop.is_set():
             fd = self._attend()
             if fd is None and (not patient or self._end.gone):
-                self._backlog.clear()  # nobody listens: it is gone, as on a cable
+                self._backlog.clear()  # no reader: the bytes are lost, as on a cable
                 return
             done = 0
             if fd is not None and self._running:
@@ -311,7 +311,7 @@ class ByteSender:
                 self._stop.wait(0.01)
 
     def _commands(self, fd: int) -> None:
-        """Answer what an slcan host asks."""
+        """Answer the commands of an slcan host."""
         with contextlib.suppress(OSError):
             for command in os.read(fd, 4096).split(b"\r")[:-1]:
                 if command[:1] == b"C":

@@ -1,4 +1,4 @@
-"""A simulated device: analogue samples in, the frames a real one would send out, faults included."""
+"""A simulated device: takes analogue samples, returns the frames of a real device, with faults on request."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class SimulatedDevice:
     def __init__(self, source: Samples, config: DeviceConfig) -> None:
         self.config = config
         self.frames_made = 0  # frames of samples, sent or not
-        self.samples_made = 0  # since the first start, those of the time away included
+        self.samples_made = 0  # since the first start, including the time it was away
         self._source = source
         self._signals = config.signals()
         self._scale = np.array([signal.scale for signal in self._signals])
@@ -123,7 +123,7 @@ class SimulatedDevice:
         return seconds is not None and self.samples_made >= seconds * self.config.rate_hz
 
     def overrun(self, frames: int) -> None:
-        """The link had no room for so many frames: later frames say so."""
+        """Count frames for which the link had no room; later frames report them."""
         self._lost += frames
 
     def next(self, frames: int) -> list[WireFrame]:
@@ -273,5 +273,5 @@ class SimulatedDevice:
 
 
 def _crosses(index: int, rows: int, period: float) -> bool:
-    """Does a multiple of `period` (samples) lie in index .. index + rows - 1?"""
+    """Whether a multiple of `period` (samples) lies in index .. index + rows - 1."""
     return int((index + rows - 1) // period) != int((index - 1) // period)
