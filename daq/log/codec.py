@@ -1,4 +1,4 @@
-"""Values of the service to the log's messages and back, bit for bit. The messages: log_schema.proto."""
+"""Encodes values of the service as messages of the log, and decodes them bit for bit (log_schema.proto)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ ESTIMATES_SCHEMA = "rotorscope.Estimates"
 
 
 def text(said: str) -> str:
-    """As a log can hold it: names of files may hold bytes that are no text."""
+    """The text as a log can hold it: names of files may hold bytes that are no text."""
     return said.encode(errors="backslashreplace").decode()
 
 
@@ -105,7 +105,7 @@ class RawBlock:
         return self.index + len(self.counts)
 
     def parts(self) -> list[Block]:
-        """As the link delivered it."""
+        """The blocks as the link delivered them."""
         counts = self.counts.astype(np.int32)
         device: Sequence[int | None] = self.part_device_ns or [None] * len(self.part_rows)
         out, at = [], 0
@@ -115,13 +115,13 @@ class RawBlock:
         return out
 
     def joined(self) -> Block:
-        """As one reading; its host time is the last part's."""
+        """The blocks joined to one; its host time is that of the last part."""
         device = self.part_device_ns[0] if len(self.part_device_ns) else None
         return Block(self.index, self.counts.astype(np.int32), self.part_host_ns[-1], device)
 
 
 def decode_block(data: bytes) -> RawBlock:
-    """Raises ValueError if the message contradicts itself."""
+    """The block of a message. Raises ValueError if the message contradicts itself."""
     m = message("rotorscope.Block").FromString(data)
     size = m.rows * m.channels * m.width
     parts, devices = len(m.part_rows), len(m.part_device_ns)

@@ -1,4 +1,4 @@
-"""A session as MCAP: which record goes where, and when a chunk ends (docs/log-format.md). No threads, no disk."""
+"""A session as MCAP: the place of each record, and the end of each chunk (docs/log-format.md). No threads, no disk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOG_PROFILE = "rotorscope"  # of the MCAP header
 CHUNK_BYTES = 256 * 1024
 JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
 ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
-CHUNK_S = 1.0  # of data in a chunk at most: what one damaged byte costs
+CHUNK_S = 1.0  # of data in a chunk at most: the loss by one damaged byte
 MEDIA_TYPES = {".toml": "application/toml", ".dbc": "text/plain"}
 
 
@@ -39,7 +39,7 @@ class LogEncoder:
 
     def __init__(self, output: Output, recorded: Recorded | None = None) -> None:
         self._mcap = Writer(output, chunk_size=MAX_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
+        self._mcap._Writer__chunk_indices = PackedIndex()  # the library has no option for it
         self._mcap.start(LOG_PROFILE)
         self._ids = [0, *(self._register(topic) for topic in codec.LOG_TOPICS)]
         self._viewer_ids: dict[str, int] = {}  # topic for viewers -> its number
@@ -77,7 +77,7 @@ class LogEncoder:
         self.reading(session.info)
 
     def _date(self, block: Block | None) -> None:
-        """The first samples of a recording: from here on its date is known, or that there is none."""
+        """Take the date of a recording from its first samples, or that it has none."""
         about, self._about, early, self._early = self._about, None, self._early, []
         info = next((e for e in early if isinstance(e, Info)), about.info if about else None)
         first_ns = 0
@@ -247,7 +247,7 @@ class LogEncoder:
 
     @property
     def _most_rows(self) -> int:
-        """Of a chunk."""
+        """Largest number of rows in a chunk."""
         return max(1, int(CHUNK_S * self._info.rate_hz)) if self._info else JOINED_ROWS
 
     def _pieces(self, block: Block) -> Iterator[Block]:

@@ -1,4 +1,4 @@
-"""What a log says, entry by entry and in order: for reading, replay and recovery."""
+"""The entries of a log in order: for reading, replay and recovery."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Entry = Head | Info | RawBlock | Gap | Notice | LoggedEstimate | Status
 def walk(
     path: Path, findings: Findings, everything: bool = False, at: int = 0
 ) -> Iterator[tuple[Entry | None, Message | None]]:  # fmt: skip
-    """All in order, with the message it came from; unexplained jumps of the index become gaps (message None).
+    """Entries in order, each with its message; unexplained jumps of the index become gaps (message None).
 
     at : the byte to begin at: 0, or where a chunk begins. Head and Info come when they are new. Blocks never overlap
     and never go back. Preview and repetitions are left out, or with `everything` come as (None, message).
@@ -122,7 +122,7 @@ class _Decoder:
         return gap
 
     def missing_before(self, entry: Entry) -> Gap | None:
-        """The unexplained hole between what was seen and this entry."""
+        """The unexplained gap before this entry; None if there is none."""
         if not isinstance(entry, RawBlock | Gap) or (isinstance(entry, Gap) and not entry.count):
             return None
         expected = self._next
@@ -143,7 +143,7 @@ class _Decoder:
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """Samples of a description that is not that of the log: rate, channels or unit."""
+    """Samples under a description that differs from that of the log in rate, channels or unit."""
 
     index: int
     what: str
@@ -154,7 +154,7 @@ class Other:
 
 
 class Said:
-    """What the entries of a log say, taken one after the other."""
+    """Content of a log, collected entry by entry."""
 
     def __init__(self) -> None:
         self.head = Head()
@@ -177,7 +177,7 @@ class Said:
 
     @property
     def started_ns(self) -> int | None:
-        """Unix time of the first sample, if it is known: before there was a word for it, imports were stamped wrong."""
+        """Unix time of the first sample, ns; None if it is not known. Old imports without a flag have wrong stamps."""
         about = self.head.metadata
         recorded = about.get("command") == "import" or about.get("link_kind") == "capture"
         if not self._first_ns or about.get("started") == UNKNOWN_START or (recorded and "imported" not in about):
@@ -219,5 +219,5 @@ class Said:
 
     def _count_other(self, block: RawBlock) -> None:
         same = bool(self.others) and self.others[-1].what == self._deviation
-        begun = self.others.pop() if same else Other(block.index, self._deviation, 0)
-        self.others.append(replace(begun, samples=begun.samples + len(block.counts)))
+        last = self.others.pop() if same else Other(block.index, self._deviation, 0)
+        self.others.append(replace(last, samples=last.samples + len(block.counts)))

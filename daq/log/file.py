@@ -22,12 +22,12 @@ SYNC_WAIT_S = 0.3
 
 
 class LogFile:
-    """Bytes written here wait in memory until `push` has them on the disk; a failed push loses and damages nothing.
+    """A log file whose bytes wait in memory until `push` writes them; a failed push loses and damages nothing.
 
-    What lay at `path` comes back if nothing is kept. A measurement, or what is no log, is kept for good: see `kept`.
-    whole : the file gets its name only when it is kept, so that nobody ever finds half of it there.
-    Looks like a binary stream to the MCAP writer. One thread. Raises LogError if the place is not to be had, and
-    ConfigError for a name that is of another kind of file.
+    An earlier file at `path` comes back if this one is discarded. An earlier measurement, or a file that is no log, is
+    always kept: see `kept`. whole : the file gets its name only when it is complete, so that no half of it is found.
+    For the MCAP writer it is a binary stream. One thread. Raises LogError if the place cannot be written, and
+    ConfigError for a name of another kind of file.
     """
 
     def __init__(self, path: Path, whole: bool = False) -> None:
@@ -40,13 +40,13 @@ class LogFile:
         except OSError as error:
             raise _not_to_be_had(path, error) from error
         self.path = path
-        self.folder = _here() / path.parent  # whatever becomes of the one that we were started in
-        self.kept: Path | None = None  # where that is which lay at `path` and cannot be made again
+        self.folder = _here() / path.parent  # independent of the folder in which the program started
+        self.kept: Path | None = None  # new place of an earlier file at `path` that cannot be made again
         self._waiting: deque[memoryview] = deque()
         self._stored = 0
         self.pending = 0
-        self.restored = 0  # bytes, for whoever waits
-        self.cut = False  # by another program: what was stored is not there any more
+        self.restored = 0  # bytes, for the caller that waits
+        self.cut = False  # another program cut the file: stored bytes are lost
         self._tail = self._witness = (0, b"")  # offset and bytes: the end of the last write, and of the one before
         self._syncing: threading.Thread | None = None
         self._hidden: Path | None = None
@@ -77,7 +77,7 @@ class LogFile:
         """Nothing: the owner calls `push`."""
 
     def push(self) -> None:
-        """Write all that waits. Raises OSError; what was not written still waits, and may be pushed again."""
+        """Write all bytes that wait. Raises OSError; bytes that were not written still wait for the next call."""
         while self._waiting:
             head = self._waiting[0]
             self._look_for_cut()
@@ -92,27 +92,27 @@ class LogFile:
                 self._waiting[0] = head[written:]
 
     def _look_for_cut(self) -> None:
-        """A cut between a look and the write that follows leaves the size right, and a hole before what was written."""
+        """Detect a cut by another program. A cut just before a write leaves the size right, with a hole."""
         about = os.fstat(self._fd)
         if stat.S_ISREG(about.st_mode) and not self.cut:
             at, end = self._witness
             self.cut = about.st_size < self._stored or os.pread(self._fd, len(end), at) != end
 
     def sync(self) -> None:
-        """Ask for what was pushed to go from the operating system to the disk: for a power cut, a crash needs none.
+        """Ask the operating system to put the written bytes on the disk, against a power cut; a crash needs no sync.
 
-        Done by a thread, since a busy disk takes seconds; a request while one is under way is not needed and not kept.
+        A thread does it, because a busy disk takes seconds. A request while another is under way is dropped.
         """
         if self._syncing is not None and self._syncing.is_alive():
             return
         try:
             fd = os.dup(self._fd)
-        except OSError:  # no more files to be had: the system writes it when it likes
+        except OSError:  # no more file descriptors: the system chooses when it writes
             return
         syncing = threading.Thread(target=_sync, args=(fd,), name="log sync", daemon=True)
         try:
             syncing.start()
-        except RuntimeError:  # nor threads
+        except RuntimeError:  # no more threads
             os.close(fd)
         else:
             self._syncing = syncing
@@ -130,7 +130,7 @@ class LogFile:
         return self._hidden is not None or self._aside is not None or self.removed or self._is(self.path)
 
     def follow(self) -> bool:
-        """To the name that somebody gave it, as `path`; False if it has none, or the system does not say which."""
+        """Set `path` to the new name of a moved file; False if it has none, or the system does not give it."""
         with contextlib.suppress(OSError):
             now = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
             if self._is(now):
@@ -144,9 +144,9 @@ class LogFile:
         return False
 
     def restore(self, folder: Path | None = None) -> Path:
-        """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError.
+        """Give a removed file its name back (or a free one beside it), with all its bytes. Raises OSError.
 
-        folder : there instead.
+        folder : where to put the file instead.
         """
         wanted = (folder or self.folder) / (self._hidden or self.path).name
         wanted.parent.mkdir(parents=True, exist_ok=True)
@@ -175,7 +175,7 @@ class LogFile:
         return path
 
     def keep(self) -> None:
-        """It holds something: what lay there before is given up, or kept for good. Raises OSError."""
+        """Keep this file. An earlier file at `path` is given up, or kept beside it. Raises OSError."""
         if self._hidden is not None:
             with unbroken():
                 if self.path.exists() and not made(self.path):
@@ -191,7 +191,7 @@ class LogFile:
         self._aside = None
 
     def discard(self) -> None:
-        """It holds nothing that anybody wants: as if it had never been. Raises OSError."""
+        """Discard this file as if it had never existed. Raises OSError."""
         if self._aside is not None:
             self._aside.replace(self.path)
             self._aside = None
@@ -199,14 +199,14 @@ class LogFile:
             self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Wait a little for the disk; the operating system finishes the rest. What never got its name is gone."""
+        """Wait a little for the disk; the operating system writes the rest. A file that never got its name is lost."""
         if self._hidden is not None:
             unfinished.remove(self._hidden)
         else:
             self.sync()
         if self._syncing is not None:
             self._syncing.join(SYNC_WAIT_S)
-        unlock(self._fd)  # that thread may hold the file open for longer
+        unlock(self._fd)  # the sync thread may hold the file open for longer
         os.close(self._fd)
 
 
@@ -219,7 +219,7 @@ def _not_to_be_had(path: Path, error: OSError) -> LogError:
 def _here() -> Path:
     try:
         return Path.cwd()
-    except OSError:  # it was removed before we were
+    except OSError:  # the folder was removed
         return Path()
 
 
@@ -227,6 +227,6 @@ def _sync(fd: int) -> None:
     try:
         os.fdatasync(fd)
     except OSError:
-        pass  # the next write says it again, and is reported
+        pass  # the next write fails again, and is reported
     finally:
         os.close(fd)

@@ -1,4 +1,4 @@
-"""The place of a log: nobody else is writing there, and a measurement that lies there is not overwritten."""
+"""The place of a log: no other writer uses it, and no earlier measurement there is overwritten."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ READER_S = 0.2  # `being_written` holds a lock for a moment
 
 
 def locked(fd: int) -> bool:
-    """Lock an open log for us; False if another process or writer has it."""
+    """Lock an open log for this writer; False if another process or writer holds it."""
     deadline = time.monotonic() + READER_S
     while fcntl is not None:
         try:
@@ -50,7 +50,7 @@ def unlock(fd: int) -> None:
 
 
 def being_written(path: Path) -> bool:
-    """Whether somebody is writing this log now."""
+    """Whether another writer is writing this log now."""
     if fcntl is None or path.is_fifo():  # to open a pipe would wait
         return False
     try:
@@ -72,7 +72,7 @@ def no_file(path: Path) -> LogError:
 
 
 def opened(path: Path, shown: Path) -> int:
-    """The file there, made if need be, open and locked. Raises OSError, and LogError (of `shown`) if it is not ours."""
+    """Descriptor of the file at `path`, created if need be and locked. Raises OSError, or LogError (of `shown`)."""
     if path.is_fifo() or path.is_socket():
         raise no_file(shown)
     while True:
@@ -82,11 +82,11 @@ def opened(path: Path, shown: Path) -> int:
             raise refused(shown)
         if _lies_at(fd, path):
             return fd
-        os.close(fd)  # whoever had it has just moved it aside, or given it its name, and it is theirs
+        os.close(fd)  # another writer has just moved or renamed the file, which belongs to it
 
 
 def _lies_at(fd: int, path: Path) -> bool:
-    """Whether an open file is still the one of that name."""
+    """Whether an open file is still the one at `path`."""
     try:
         return os.path.samestat(os.fstat(fd), path.stat())
     except (FileNotFoundError, NotADirectoryError):
@@ -94,9 +94,9 @@ def _lies_at(fd: int, path: Path) -> bool:
 
 
 def emptied(path: Path, fd: int) -> tuple[int, Path | None]:
-    """An empty file there, open and locked, and where what it held is now; None if it held nothing, or cannot be moved.
+    """An empty file at `path`, locked, and the new place of its content; None if there was none, or it stays.
 
-    Raises OSError, and LogError if what it held can neither be moved nor made again.
+    Raises OSError, and LogError if the content can neither be moved nor made again.
     """
     about = os.fstat(fd)
     if not stat.S_ISREG(about.st_mode) or not about.st_size:
@@ -111,14 +111,16 @@ def emptied(path: Path, fd: int) -> tuple[int, Path | None]:
         os.close(fd)
         raise
     os.close(fd)
-    if not locked(new) or os.fstat(new).st_size or not _lies_at(new, path):  # somebody found it before it was locked
+    if (
+        not locked(new) or os.fstat(new).st_size or not _lies_at(new, path)
+    ):  # another writer took the file before it was locked
         os.close(new)
         raise refused(path)
     return new, aside
 
 
 def moved_aside(path: Path) -> Path | None:
-    """Give what lies there a free name beside; None if that cannot be done and is not needed."""
+    """New path of the file at `path` after it was renamed; None if this is impossible and not needed."""
     try:
         return path.rename(free_name(path))
     except OSError as error:
@@ -129,7 +131,7 @@ def moved_aside(path: Path) -> Path | None:
 
 
 def free_name(path: Path) -> Path:
-    """NAME-1.mcap, NAME-2.mcap ...: the first above all that are taken."""
+    """The first free path of NAME-1.mcap, NAME-2.mcap ... above all that are taken."""
     numbers = [0]
     for other in path.parent.iterdir():
         tail = other.stem.removeprefix(f"{path.stem}-")
@@ -139,9 +141,9 @@ def free_name(path: Path) -> Path:
 
 
 def made(path: Path) -> bool:
-    """Whether this is a log that the same command would make again: of a simulation, a replay, an import.
+    """Whether the same command would make this log again: a log of a simulation, a replay or an import.
 
-    A log of a live link is not, nor is what is no log at all.
+    A log of a live link cannot be made again, nor a file that is no log.
     """
     try:
         with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""A log as one object (`read_log`): what it says of the session, and its samples when they are asked for."""
+"""A log as one object (`read_log`): facts of the session, and samples that are read on request."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from daq.rig.rig import Rig
 
 MOST_EVENTS = 2_000_000  # gaps, notices, estimates, damage: a few kB of a hostile file can unpack to any number
-LARGEST_SAMPLES = 64 << 30  # bytes of samples() or counts() that we are willing to allocate
+LARGEST_SAMPLES = 64 << 30  # bytes that samples() or counts() may allocate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Recording:
     first, stop : absolute sample index of the first sample, and of the one after the last.
     lost_samples : samples of each channel that are missing between `first` and `stop`.
     gaps : index, count and reason of each gap, in order.
-    notices : what the operator was told, in order.
+    notices : notices to the operator, in order.
     estimates : all logged estimates, in order.
     clocks : (sample index, mapping of device to host clock) for each statement of the clock.
     last_status : the last status; None if there is none.
@@ -219,7 +219,7 @@ class Recording:
         return out, hits
 
     def readings(self, joined: bool = True) -> Iterator[Reading]:
-        """What the link delivered, in order, a piece at a time: for replay. Memory does not grow with the log.
+        """Readings of the link, in order, a piece at a time: for replay. Memory does not grow with the log.
 
         joined : blocks as the log holds them, several of the link in one; False: as they came.
         """
@@ -244,11 +244,11 @@ class Recording:
         return (logged.data for logged in self.estimates)
 
     def again(self) -> Findings:
-        """For another pass over what the first one saw: a log may be growing."""
+        """Findings for another pass over the bytes that the first pass saw: a log may be growing."""
         return beginning(self.findings)
 
     def _columns(self, info: Info) -> list[int] | str:
-        """Where the channels of the log are in a description of its device; or why its samples are no continuation."""
+        """Columns of the log's channels in a description of its device, or why its samples do not continue."""
         there = now_at(self.device_info, info)
         if isinstance(there, str) or self.info is self.device_info:
             return there
@@ -348,7 +348,7 @@ def _recording(path: Path, part: Part, findings: Findings, of: Span | None, max_
 
 
 def _said(path: Path, entries: Iterator[Entry], findings: Findings, most: int, first_only: bool = False) -> Said:
-    """What entries say; first_only : up to the first sample. Raises LogError if they are too many."""
+    """Content of the entries; first_only : up to the first sample. Raises LogError if they are too many."""
     said = Said()
     for entry in entries:
         said.take(entry)

@@ -23,7 +23,7 @@ FLUSH_MESSAGES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved. lost : a sentence for the user."""
+    """What a recovery saved. lost : a sentence for the user."""
 
     samples: int
     seconds: float
@@ -43,9 +43,9 @@ def recover(
     source: str | Path, target: str | Path, progress: Callable[[float], None] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Recovery:  # fmt: skip
-    """Write what is intact in `source` to `target`, with its own index and footer; what is missing becomes gaps.
+    """Write the intact messages of `source` to `target`, with index and footer; missing samples become gaps.
 
-    progress : called with the share that is done; note : told what else there is to know.
+    progress : called with the share that is done. note : called with each further remark.
     Raises LogError if nothing is intact, or `target` is `source`.
     """
     source, target = Path(source), Path(target)

@@ -1,7 +1,7 @@
 """The intact messages of an MCAP file that may be cut, flipped or hostile.
 
-Only what a checksum vouches for is handed on: chunks whose CRC is right, attachments whose CRC is right. Nothing is
-read by way of the index at the end, so a cut file gives what it holds. After damage the scan goes on at the next chunk.
+The scan returns chunks and attachments only if their CRC is right. It does not use the index at the end, so a cut file
+gives the messages that it holds. After damage the scan goes on at the next chunk.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ SIZE_STRUCT = struct.Struct("<Q")
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 ZSTD_SIGNATURE = b"\x04\x00\x00\x00zstd"
 SIGNATURE_AT = RECORD_STRUCT.size + 28
-HEADS_BYTES = RECORD_STRUCT.size + CHUNK_HEAD.size + SIZE_STRUCT.size  # of a chunk, before what is packed in it
+HEADS_BYTES = RECORD_STRUCT.size + CHUNK_HEAD.size + SIZE_STRUCT.size  # of a chunk, before its packed content
 FOOTER_BYTES = RECORD_STRUCT.size + 20 + len(LOG_MAGIC)  # with the magic at the end
 TOO_MUCH = "holds more than a log of its size can: it was not made by Rotorscope"
-MAX_CHUNK_BYTES = 64 << 20  # bytes of a chunk, before and after compression: no file makes us allocate more at once
+MAX_CHUNK_BYTES = 64 << 20  # bytes of a chunk, before and after compression: the largest allocation at once
 READ_BYTES = 1 << 20  # a call
 PROBE_BYTES = 1 << 16  # a call that looks for a place in the file
 
@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 @dataclass(slots=True, kw_only=True)
 class Findings:
-    """What a scan learns besides the messages. damage : one line each, for the user."""
+    """Results of a scan besides the messages. damage : one line each, for the user."""
 
     damage: list[str] = field(default_factory=list)
     attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name -> media type, data
@@ -91,7 +91,7 @@ def opened(path: Path, buffer_bytes: int = PROBE_BYTES) -> Iterator[BinaryIO]:
 
 
 def ends_closed(path: Path, findings: Findings) -> bool:
-    """Whether a file ends as a closed log does; nothing else of it is looked at."""
+    """Whether a file ends as a closed log does. Only its end is read."""
     with opened(path) as file:
         file.seek(max(0, (findings.size or 0) - FOOTER_BYTES))
         end = file.read(FOOTER_BYTES)
@@ -100,9 +100,9 @@ def ends_closed(path: Path, findings: Findings) -> bool:
 
 @dataclass(slots=True)
 class _Limits:
-    """What a file of this size may still make us do, whatever it says.
+    """Limits on messages and unpacked bytes of a file of this size.
 
-    A log of ours has at least 16 bytes of index for each message, and its chunks expand 500 times at most.
+    A Rotorscope log has at least 16 bytes of index for each message, and its chunks expand 500 times at most.
     """
 
     unpacked_bytes: int
@@ -120,7 +120,7 @@ class _Limits:
 
 @dataclass(slots=True)
 class _Checksum:
-    """Over all of the file up to the end of its data: of indexes and names, too, that no other checksum covers.
+    """Checksum of the file up to the end of its data, with indexes and names that no other checksum covers.
 
     value : None in another pass over a file that was verified. compared : the end of the data was found.
     """
@@ -139,8 +139,7 @@ class _Checksum:
 
 
 class _Record(NamedTuple):
-    """A record's head as bytes, and in it: opcode, bytes of its content, where it ends; packed : of the chunk that it
-    looks like."""
+    """Head of a record: its bytes, opcode, size of the content, and end. packed : size of the chunk it looks like."""
 
     head: bytes
     op: int
@@ -158,7 +157,7 @@ def _scan(
     file.seek(at)
     while at < size:
         record, problem = _record(file, at, size), ""
-        if record.packed is not None:  # a chunk, whatever a flipped bit makes of its kind or its length
+        if record.packed is not None:  # a chunk, even if a flipped bit changed its kind or length
             content = record.head[RECORD_STRUCT.size :] + file.read(record.packed)
             chunk = _chunk(content, unpacker, limits)
             if not isinstance(chunk, str):
@@ -229,7 +228,7 @@ def _other(
     ahead = _at(file, at, min(record.end - at, READ_BYTES) + SIGNATURE_AT + len(ZSTD_SIGNATURE))
     long = record.length > READ_BYTES
     if (long or ZSTD_SIGNATURE in ahead) and next_chunk(file, at + 1, size, record.end) is not None:
-        return "has a record that swallows a chunk"  # its length has no checksum: never trust it that far
+        return "has a record that swallows a chunk"  # the length has no checksum, so it is not trusted that far
     if record.op == DATA_END_OPCODE and record.length == 4:
         checksum.compare(int.from_bytes(ahead[RECORD_STRUCT.size : RECORD_STRUCT.size + 4], "little"), findings)
     elif not long:
@@ -304,7 +303,7 @@ def _attachment(content: bytes, findings: Findings) -> str:
 
 
 def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bool:
-    """Whether footer, magic and summary are whole and count the same chunks and messages as were found."""
+    """Whether footer, magic and summary are complete and count the chunks and messages that were found."""
     file.seek(footer_at)
     footer = file.read(size - footer_at)
     if not footer.endswith(LOG_MAGIC):

@@ -1,4 +1,4 @@
-"""The MCAP sink: takes what the core loop says without ever making it wait, and writes from a thread of its own."""
+"""The MCAP sink: takes readings from the core loop without delaying it, and writes them from a separate thread."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ Item = Session | Reading | Estimate | Status
 class LogWriter:
     """The log at `path`. Raises LogError at once if it cannot be created.
 
-    live : acquisition must not wait. What waits for the disk is bounded by `limit_bytes`; beyond it the newest samples
-        are not stored, and a Gap of reason "storage" says which. A full or failing disk is tried again every 0.5 s
+    live : acquisition must not wait. The queue for the disk is bounded by `limit_bytes`; beyond it the newest samples
+        are not stored, and a Gap of reason "storage" replaces them. A full or failing disk is tried again every 0.5 s
         and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
         fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
     file : makes the file from its path.
     recorded : the samples are not of now, see `Recorded`.
-    A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
+    A log without samples or gaps is removed. An earlier measurement at `path` is kept under another name.
     A file that was removed, alone or with its folder, is put back with all its bytes; one that was moved is followed;
-    of one that another program cut, what is gone is gone. `health` tells the operator.
+    bytes that another program cut off are lost. `health` gives notices for the operator.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class LogWriter:
         self._changed = threading.Condition()
         self._queue: deque[tuple[Item, int]] = deque()  # each with its bytes
         self._queued = 0  # bytes
-        self._lost: Gap | None = None  # not yet told to the log
+        self._lost: Gap | None = None  # not yet written to the log
         self._dropped = 0
         self._encoded = self._safe = 0  # samples that the encoder has taken, and of those the ones that are on the disk
         self._notices: list[Notice] = []
@@ -66,24 +66,24 @@ class LogWriter:
         self._progress = 0
         self._behind_since_ns: int | None = None
         self._problem = ""
-        self._told_cut = self._told_hidden = False
+        self._reported_cut = self._reported_hidden = False
         self._failed = ""
         self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
         self._thread.start()
 
     @property
     def path(self) -> Path:
-        """Where the log is; another name than asked for only if that was taken after a removal."""
+        """Path of the log. It differs from the requested path only if that was taken after a removal."""
         return self._file.path
 
     @property
     def faulty(self) -> bool:
-        """Whether the disk does not take what is written; it is tried again."""
+        """Whether writing to the disk fails at present; it is tried again."""
         return bool(self._problem)
 
     @property
     def size_bytes(self) -> int:
-        """Of the file so far, what waits for the disk included; samples of the last 0.4 s are not in it yet."""
+        """Size of the file so far, with the bytes that wait for the disk; without the samples of the last 0.4 s."""
         return self._file.tell()
 
     # -- core loop ------------------------------------------------------------------------------------------------
@@ -102,7 +102,7 @@ class LogWriter:
         self._put(status, SMALL_ITEM_BYTES)
 
     def health(self) -> SinkHealth:
-        """What the operator should know since the last call."""
+        """Lag, dropped samples and notices since the last call."""
         with self._changed:
             notices, self._notices = tuple(self._notices), []
             behind = self._behind_since_ns
@@ -119,7 +119,7 @@ class LogWriter:
             self._changed.notify_all()
         try:
             self._wait()
-        except BaseException:  # Ctrl-C: no half of a log that can be made again
+        except BaseException:  # Ctrl-C: a log that can be made again is not left incomplete
             self._wanted = lambda: False
             self._thread.join(0.0 if self._live else GIVE_UP_NS / 1e9)
             raise
@@ -138,11 +138,11 @@ class LogWriter:
                 why = self._problem or ("the disk stalls" if self._file.pending else "this computer is too busy")
                 lacking = f"up to {self._give_up()} samples of its end are not in it"
                 text = f"{self.path} could not be completed: {why}; {lacking}; rotorscope recover may mend it"
-                self._tell("error", "log_incomplete", text)
+                self._report("error", "log_incomplete", text)
                 return
 
     def _give_up(self) -> int:
-        """Samples that are not known to be on the disk, counted as dropped from now on."""
+        """Number of samples that may not be on the disk; from now on they count as dropped."""
         with self._changed:
             waiting = sum(len(item.counts) for item, _ in self._queue if isinstance(item, Block))
             lacking = self._encoded - self._safe + waiting
@@ -196,7 +196,7 @@ class LogWriter:
     def _run(self) -> None:
         try:
             self._loop()
-        except Exception as error:  # whatever it is must not stop acquisition
+        except Exception as error:  # no failure of the log may stop acquisition
             what = str(error.strerror or error) if isinstance(error, OSError) else repr(error)
             if not self._live:
                 self._file.close()
@@ -244,7 +244,7 @@ class LogWriter:
     def _keep(self) -> None:
         self._file.keep()
         if self._file.kept is not None:
-            self._tell("warning", "log_kept", f"{self.path}: what lay there is kept as {self._file.kept}")
+            self._report("warning", "log_kept", f"{self.path}: what lay there is kept as {self._file.kept}")
 
     def _take(self, timeout_s: float) -> tuple[list[Item], bool]:
         """What waits, once the disk has room for it."""
@@ -281,7 +281,7 @@ class LogWriter:
                     self._keep()
 
     def _push(self, sync: bool) -> bool:
-        """Bytes to the disk; True if none are left."""
+        """Write waiting bytes to the disk; True if none are left."""
         before = self._file.pending
         try:
             self._file.push()
@@ -300,10 +300,10 @@ class LogWriter:
         if self._encoder.fresh:
             self._safe = self._encoded
         self._well()
-        if self._file.cut and not self._told_cut:
-            self._told_cut = True
+        if self._file.cut and not self._reported_cut:
+            self._reported_cut = True
             text = "another program cut or overwrote the log: what it held is lost; rotorscope recover reads the rest"
-            self._tell("error", "log_cut", f"{self.path}: {text}")
+            self._report("error", "log_cut", f"{self.path}: {text}")
         return True
 
     def _look_after_file(self) -> None:
@@ -316,49 +316,49 @@ class LogWriter:
         except OSError as error:
             self._fault(f"removed, and cannot be put back: {error.strerror or error}")
         else:
-            self._tell("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
+            self._report("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
 
     def _look_for_file(self) -> None:
         before = self._file.path
         if self._file.follow():
-            self._tell("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
-        elif not self._told_hidden:
-            self._told_hidden = True
+            self._report("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
+        elif not self._reported_hidden:
+            self._reported_hidden = True
             text = (
                 "the disk of the log was unmounted, or another mounted over it; the log goes on there, and is not to be"
             )
-            self._tell("error", "log_hidden", f"{before}: {text} found under this name until that disk is back")
+            self._report("error", "log_hidden", f"{before}: {text} found under this name until that disk is back")
 
     def _rescue(self) -> None:
-        """At the end the log has no name, and cannot have its own: in the nearest other folder, rather than nowhere."""
+        """Put a finished log that cannot have its own name into the nearest other folder."""
         before = self._file.path
         for folder in (*self._file.folder.parents, Path(tempfile.gettempdir())):
             try:
                 path = self._file.restore(folder)
             except OSError:
                 continue
-            self._tell("warning", "log_restored", f"{before} was removed and cannot be put back; the log is {path}")
+            self._report("warning", "log_restored", f"{before} was removed and cannot be put back; the log is {path}")
             return
         self._safe = 0
         self._give_up()
-        self._tell("error", "log_incomplete", f"{before} was removed and cannot be put back anywhere; it is lost")
+        self._report("error", "log_incomplete", f"{before} was removed and cannot be put back anywhere; it is lost")
 
     def _fault(self, problem: str) -> None:
         if problem != self._problem:
             self._problem = problem
             text = f"{self.path}: {problem}; acquisition goes on, make room or reconnect the disk"
-            self._tell("error", "log_fault", text)
+            self._report("error", "log_fault", text)
 
     def _well(self) -> None:
         if self._problem and not self._file.removed:
             self._problem = ""
-            self._tell("info", "log_recovered", f"{self.path}: written again")
+            self._report("info", "log_recovered", f"{self.path}: written again")
 
     def _sleep(self, ns: int) -> None:
         with self._changed:
             self._changed.wait_for(lambda: False, ns / 1e9)
 
-    def _tell(self, level: str, code: str, text: str) -> None:
+    def _report(self, level: str, code: str, text: str) -> None:
         with self._changed:
             self._note(level, code, text)
 

@@ -198,10 +198,10 @@ def test_recovery_is_bit_for_bit_and_whole_again(tmp_path: Path, whole: Bytes, s
     damaged[int(flip * (len(damaged) - 1))] ^= 0x10
     before = read(tmp_path / "cut.mcap", bytes(damaged))
     assert before is not None
-    told = recover(tmp_path / "cut.mcap", tmp_path / "mended.mcap")
+    recovery = recover(tmp_path / "cut.mcap", tmp_path / "mended.mcap")
     after = read_log(tmp_path / "mended.mcap")
     assert after.complete
-    assert told.samples == before.n_samples == after.n_samples
+    assert recovery.samples == before.n_samples == after.n_samples
     np.testing.assert_array_equal(after.counts(), before.counts())
     assert after.gaps == before.gaps
     assert [e.data for e in after.estimates] == [e.data for e in before.estimates]
@@ -209,9 +209,9 @@ def test_recovery_is_bit_for_bit_and_whole_again(tmp_path: Path, whole: Bytes, s
     assert after.metadata == before.metadata
     assert after.notices[:-1] == before.notices
     assert after.notices[-1].code == "recovered"
-    assert told.lost in after.notices[-1].text
-    assert "at most the last second" in told.lost
-    jsonschema.validate(told.to_json(), json.loads((SCHEMAS / "recover.json").read_text()))
+    assert recovery.lost in after.notices[-1].text
+    assert "at most the last second" in recovery.lost
+    jsonschema.validate(recovery.to_json(), json.loads((SCHEMAS / "recover.json").read_text()))
     jsonschema.validate(info(after), json.loads((SCHEMAS / "info.json").read_text()))
 
 
@@ -262,8 +262,8 @@ def test_a_lost_chunk_is_a_gap_that_says_so(tmp_path: Path, whole: Bytes) -> Non
     holes = [g for g in log.gaps if g.reason == "log"]
     assert len(holes) == 1
     assert any("damaged chunk" in line for line in log.damage)
-    told = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert f"{holes[0].count} samples in 1 damaged places ({holes[0].count} from {holes[0].index})" in told.lost
+    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert f"{holes[0].count} samples in 1 damaged places ({holes[0].count} from {holes[0].index})" in recovery.lost
 
 
 def test_info_fits_its_schema(tmp_path: Path, whole: Bytes) -> None:

@@ -1,4 +1,4 @@
-"""Disks that are full, slow or gone, for real: acquisition goes on, the operator is told, the log stays readable."""
+"""Disks that are full, slow or gone, for real: acquisition goes on with a notice, and the log stays readable."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ Property = Callable[[str, object], None]
 
 
 class Feeder:
-    """The core loop's place: blocks into the writer, the time each call took, and what the operator was told."""
+    """The core loop's place: blocks into the writer, the time each call took, and the notices to the operator."""
 
     def __init__(self, writer: LogWriter, start: bool = True) -> None:
         self.writer = writer
         self.index = 0
         self.slowest_s = 0.0
-        self.told: list[Notice] = []
+        self.notices: list[Notice] = []
         if start:
             writer.start(make_session())
 
@@ -47,21 +47,21 @@ class Feeder:
             self.writer.readings([block])
             self.slowest_s = max(self.slowest_s, time.perf_counter() - begin)
             time.sleep(pause_s)
-        self.told += self.writer.health().notices
+        self.notices += self.writer.health().notices
 
     def until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S, blocks: int = 10) -> None:
         end = time.monotonic() + timeout_s
         while not condition():
-            assert time.monotonic() < end, f"not within {timeout_s} s; told: {[n.text for n in self.told]}"
+            assert time.monotonic() < end, f"not within {timeout_s} s; notices: {[n.text for n in self.notices]}"
             self.feed(blocks)
             time.sleep(0.01)
 
-    def heard(self, code: str) -> bool:
-        return any(n.code == code for n in self.told)
+    def notified(self, code: str) -> bool:
+        return any(n.code == code for n in self.notices)
 
     def close(self) -> None:
         self.writer.close()
-        self.told += self.writer.health().notices
+        self.notices += self.writer.health().notices
 
 
 @contextmanager
@@ -90,16 +90,16 @@ def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path, record_p
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(100)
     with file_size_limit(400_000):
-        feeder.until(lambda: feeder.heard("log_fault"))
+        feeder.until(lambda: feeder.notified("log_fault"))
         feeder.feed(100, 0.002)
         during = read_log(tmp_path / "a.mcap")  # readable while the fault lasts
         assert during.n_samples > 0
-    feeder.until(lambda: feeder.heard("log_recovered"))
+    feeder.until(lambda: feeder.notified("log_recovered"))
     feeder.feed(50)
     feeder.close()
     within(feeder.slowest_s, 0.2)
-    assert [n.code for n in feeder.told] == ["log_fault", "log_recovered"]
-    assert "File too large" in feeder.told[0].text
+    assert [n.code for n in feeder.notices] == ["log_fault", "log_recovered"]
+    assert "File too large" in feeder.notices[0].text
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
     row = "disk full, then room again | limit on the file's size (EFBIG) | acquisition goes on, told, nothing lost"
     record_property("reliability", f"{row} | 0 samples lost; slowest call {1e3 * feeder.slowest_s:.1f} ms")
@@ -115,9 +115,9 @@ def test_a_full_disk_and_names_that_are_no_text(tmp_path: Path, record_property:
     feeder.writer.start(session)
     feeder.feed(100)
     with file_size_limit(400_000):
-        feeder.until(lambda: feeder.heard("log_fault"))
-        feeder.writer.readings([n for n in feeder.told if n.code == "log_fault"])  # as the pipeline does
-    feeder.until(lambda: feeder.heard("log_recovered"))
+        feeder.until(lambda: feeder.notified("log_fault"))
+        feeder.writer.readings([n for n in feeder.notices if n.code == "log_fault"])  # as the pipeline does
+    feeder.until(lambda: feeder.notified("log_recovered"))
     feeder.close()
     assert assert_right(path, complete=True) == feeder.index
     log = read_log(path)
@@ -131,9 +131,9 @@ def test_a_full_disk_and_names_that_are_no_text(tmp_path: Path, record_property:
 def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
     with file_size_limit(300_000):
-        feeder.until(lambda: feeder.heard("log_overflow"))
+        feeder.until(lambda: feeder.notified("log_overflow"))
         feeder.feed(2000)
-    feeder.until(lambda: feeder.heard("log_resumed"))
+    feeder.until(lambda: feeder.notified("log_resumed"))
     feeder.feed(20, 0.01)
     feeder.close()
     within(feeder.slowest_s, 0.2)
@@ -145,7 +145,7 @@ def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_pr
     row = "disk full beyond the queue | limit on the file's size, queue of 1 MiB | newest dropped, exact gap `storage`"
     measured = f"{log.lost_samples} of {feeder.index} samples not stored, all in gaps"
     record_property("reliability", f"{row} | {measured}; slowest call {1e3 * feeder.slowest_s:.1f} ms")
-    assert "samples from" in next(n.text for n in feeder.told if n.code == "log_overflow")
+    assert "samples from" in next(n.text for n in feeder.notices if n.code == "log_overflow")
 
 
 def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(
@@ -153,12 +153,12 @@ def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(
 ) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     with file_size_limit(500_000):
-        feeder.until(lambda: feeder.heard("log_fault"))
+        feeder.until(lambda: feeder.notified("log_fault"))
         begin = time.monotonic()
         feeder.close()
         took = time.monotonic() - begin
         within(took, 2.0)
-        assert feeder.heard("log_incomplete")
+        assert feeder.notified("log_incomplete")
         stored = assert_right(tmp_path / "a.mcap", complete=False)
         assert stored > 30_000
         dropped = feeder.writer.health().dropped
@@ -180,13 +180,13 @@ def test_the_folder_that_we_were_started_in_is_removed(
     feeder.feed(100)
     feeder.until(lambda: Path("a.mcap").stat().st_size > 0)
     shutil.rmtree(home)
-    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.until(lambda: feeder.notified("log_restored"))
     shutil.rmtree(home)
     home.write_text("in its way")  # until the end
     feeder.feed(50)
     feeder.close()
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
-    assert feeder.told[-1].text.endswith(f"cannot be put back; the log is {tmp_path / 'a.mcap'}")
+    assert feeder.notices[-1].text.endswith(f"cannot be put back; the log is {tmp_path / 'a.mcap'}")
     row = (
         "the folder that `run` was started in is removed | `--out` names no folder; twice, and a file stands in its way"
     )
@@ -199,7 +199,7 @@ def test_the_log_folder_is_removed(tmp_path: Path, record_property: Property) ->
     feeder = Feeder(LogWriter(folder / "a.mcap"))
     feeder.feed(200, 0.002)
     shutil.rmtree(tmp_path / "logs")
-    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.until(lambda: feeder.notified("log_restored"))
     feeder.feed(50, 0.002)
     feeder.close()
     assert assert_right(folder / "a.mcap", complete=True) == feeder.index
@@ -212,7 +212,7 @@ def test_the_log_is_removed_and_its_name_taken(tmp_path: Path) -> None:
     feeder.feed(50, 0.002)
     (tmp_path / "a.mcap").unlink()
     (tmp_path / "a.mcap").write_text("somebody else's")
-    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.until(lambda: feeder.notified("log_restored"))
     feeder.close()
     assert (tmp_path / "a.mcap").read_text() == "somebody else's"
     assert feeder.writer.path == tmp_path / "a-1.mcap"
@@ -226,10 +226,10 @@ def test_the_folder_is_removed_and_cannot_be_made_again(tmp_path: Path) -> None:
     feeder.feed(50, 0.002)
     shutil.rmtree(folder)
     folder.write_text("a file stands in the way")
-    feeder.until(lambda: feeder.heard("log_fault"))
-    assert "removed" in feeder.told[0].text
+    feeder.until(lambda: feeder.notified("log_fault"))
+    assert "removed" in feeder.notices[0].text
     folder.unlink()
-    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.until(lambda: feeder.notified("log_restored"))
     feeder.close()
     assert assert_right(folder / "a.mcap", complete=True) == feeder.index
 
@@ -242,13 +242,13 @@ def test_a_log_whose_folder_never_comes_back_is_saved_elsewhere(tmp_path: Path, 
     feeder.feed(200, 0.002)
     shutil.rmtree(folder)
     folder.write_text("a file stands in the way")
-    feeder.until(lambda: feeder.heard("log_fault"))
+    feeder.until(lambda: feeder.notified("log_fault"))
     begin = time.monotonic()
     feeder.close()
     took = time.monotonic() - begin
     assert feeder.writer.path == tmp_path / "disk" / "a.mcap"
-    assert str(feeder.writer.path) in feeder.told[-1].text
-    assert not feeder.heard("log_incomplete")
+    assert str(feeder.writer.path) in feeder.notices[-1].text
+    assert not feeder.notified("log_incomplete")
     assert assert_right(feeder.writer.path, complete=True) == feeder.index
     assert folder.read_text() == "a file stands in the way"
     how = "and a file stands in its way until the end"
@@ -272,7 +272,7 @@ def test_without_a_thread_for_the_disk_the_log_goes_on(tmp_path: Path, monkeypat
     feeder.feed(150, 0.01)  # more than one flush to the disk
     assert len(os.listdir("/proc/self/fd")) <= handles
     feeder.close()
-    assert not feeder.told
+    assert not feeder.notices
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
 
 
@@ -294,8 +294,8 @@ def test_without_a_free_handle_the_log_goes_on(tmp_path: Path, record_property: 
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     row = "no open file to be had | limit of the process, 2.5 s and at the end | complete log within 2 s, nothing told"
-    record_property("reliability", f"{row} | {took:.2f} s, {len(feeder.told)} notices")
-    assert [n.text for n in feeder.told] == []
+    record_property("reliability", f"{row} | {took:.2f} s, {len(feeder.notices)} notices")
+    assert [n.text for n in feeder.notices] == []
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
     within(took, 2.0)
 
@@ -304,11 +304,11 @@ def test_the_log_is_moved_while_it_is_written(tmp_path: Path, record_property: P
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(50, 0.01)
     (tmp_path / "a.mcap").rename(tmp_path / "b.mcap")
-    feeder.until(lambda: feeder.heard("log_moved"))
+    feeder.until(lambda: feeder.notified("log_moved"))
     feeder.close()
     assert feeder.writer.path == tmp_path / "b.mcap"
-    assert str(feeder.writer.path) in feeder.told[0].text
-    assert len(feeder.told) == 1
+    assert str(feeder.writer.path) in feeder.notices[0].text
+    assert len(feeder.notices) == 1
     assert not (tmp_path / "a.mcap").exists()
     assert assert_right(tmp_path / "b.mcap", complete=True) == feeder.index
     row = "log moved | `mv` while it is written | told, complete under its new name, which the summary gives"
@@ -321,10 +321,10 @@ def test_a_log_that_is_out_of_reach_is_told_once(tmp_path: Path, monkeypatch: py
     feeder.feed(50, 0.01)
     monkeypatch.setattr("os.readlink", lambda path: "/a.mcap")
     (tmp_path / "a.mcap").rename(tmp_path / "b.mcap")
-    feeder.until(lambda: feeder.heard("log_hidden"))
+    feeder.until(lambda: feeder.notified("log_hidden"))
     feeder.feed(100, 0.01)
     feeder.close()
-    assert len(feeder.told) == 1
+    assert len(feeder.notices) == 1
     assert feeder.writer.path == tmp_path / "a.mcap"
     assert assert_right(tmp_path / "b.mcap", complete=True) == feeder.index
 
@@ -335,10 +335,10 @@ def test_another_program_cuts_the_log(tmp_path: Path, record_property: Property)
     feeder.until(lambda: (tmp_path / "a.mcap").stat().st_size > 100_000)
     before = feeder.index
     os.truncate(tmp_path / "a.mcap", 10)
-    feeder.until(lambda: feeder.heard("log_cut"))
+    feeder.until(lambda: feeder.notified("log_cut"))
     feeder.feed(100, 0.01)
     feeder.close()
-    assert [n.code for n in feeder.told] == ["log_cut"]
+    assert [n.code for n in feeder.notices] == ["log_cut"]
     lost = feeder.index - assert_right(tmp_path / "a.mcap", complete=False)
     assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").samples == feeder.index - lost
     assert 0 < lost <= before
@@ -382,9 +382,9 @@ def test_a_stalled_disk_never_makes_acquisition_wait(tmp_path: Path, seconds: fl
     while time.monotonic() < end:
         feeder.feed(5, 0.001)
     assert feeder.writer.health().lag_s > 1.0
-    assert feeder.heard("log_overflow")
+    assert feeder.notified("log_overflow")
     StalledFile.gate.set()
-    feeder.until(lambda: feeder.heard("log_resumed"))
+    feeder.until(lambda: feeder.notified("log_resumed"))
     feeder.close()
     within(feeder.slowest_s, 0.2)
     stored = assert_right(tmp_path / "a.mcap", complete=True)
@@ -401,7 +401,7 @@ def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path) -> None:
     begin = time.monotonic()
     feeder.close()
     within(time.monotonic() - begin, 2.0)
-    assert feeder.heard("log_incomplete")
+    assert feeder.notified("log_incomplete")
     StalledFile.gate.set()
 
 
@@ -421,7 +421,7 @@ def test_what_a_busy_computer_has_not_encoded_by_the_end_is_not_given_up(tmp_pat
     begin = time.monotonic()
     feeder.close()
     assert time.monotonic() - begin > 1.5
-    assert not feeder.heard("log_incomplete")
+    assert not feeder.notified("log_incomplete")
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
 
 
@@ -436,10 +436,10 @@ def test_dev_full(tmp_path: Path) -> None:
     """A device that is always full, behind a symbolic link."""
     (tmp_path / "a.mcap").symlink_to("/dev/full")
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
-    feeder.until(lambda: feeder.heard("log_fault"))
-    assert "No space left on device" in feeder.told[0].text
+    feeder.until(lambda: feeder.notified("log_fault"))
+    assert "No space left on device" in feeder.notices[0].text
     feeder.close()
-    assert feeder.heard("log_incomplete")
+    assert feeder.notified("log_incomplete")
 
 
 def test_an_import_into_a_full_disk_fails_with_one_line(tmp_path: Path) -> None:
@@ -458,7 +458,7 @@ def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path, record_prop
     process = psutil.Process()
     feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=4 << 20))
     with file_size_limit(100_000):
-        feeder.until(lambda: feeder.heard("log_overflow"), blocks=100)
+        feeder.until(lambda: feeder.notified("log_overflow"), blocks=100)
         before = process.memory_info().rss
         feeder.feed(20_000)  # 5.1 M samples, 82 MB of counts
         grown = process.memory_info().rss - before

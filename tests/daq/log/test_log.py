@@ -222,11 +222,11 @@ def test_what_is_no_continuation_is_left_out_and_told(
     assert np.isnan(samples[100:]).all()
     assert np.isfinite(samples[:100]).all()
     assert (counts[100:] == np.iinfo(np.int32).min).all()
-    told: list[str] = []
-    y = measure(path, load_rig(CONFIG), told.append).y
+    notes: list[str] = []
+    y = measure(path, load_rig(CONFIG), notes.append).y
     assert np.isnan(y[100:]).all()
     np.testing.assert_array_equal(y[1:100], samples[1:100])  # the first is at full scale
-    assert [line for line in told if f"{log.others[0]} are left out" in line]
+    assert [line for line in notes if f"{log.others[0]} are left out" in line]
     row = f"device comes back with other settings | {said} | what was before is used, the rest left out and told"
     record_property("reliability", f"{row} | {log.others[0].samples} samples left out, no wrong number")
 

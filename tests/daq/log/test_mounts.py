@@ -42,8 +42,8 @@ def plugged_in(folder: Path) -> Iterator[str]:
 def test_the_disk_of_the_log_is_read_only(rig: Path, tmp_path: Path, record_property: Row) -> None:
     run = f"{ROTORSCOPE} run {rig} --link virtual: --seconds 9 --out disk/a.mcap"
     done = in_namespace(f"mkdir disk; mount -t tmpfs -o ro tmpfs disk; {run}", tmp_path)
-    (told,) = done.stderr.splitlines()
-    assert told.startswith("rotorscope: cannot write the log disk/a.mcap: Read-only file system; choose another --out")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("rotorscope: cannot write the log disk/a.mcap: Read-only file system; choose another --out")
     assert done.returncode == 4
     row = "log on a read-only disk | `run --out` on a tmpfs mounted `ro` | refused before the link is opened"
     record_property("reliability", f"{row} | one line, status {done.returncode}")

@@ -151,9 +151,9 @@ def test_one_who_waits_for_a_lock_does_not_get_what_was_moved_aside(folder: Path
     first, refusals = opened(path, path), list[str]()
 
     def second() -> None:
-        with pytest.raises(LogError) as told:
+        with pytest.raises(LogError) as refused:
             opened(path, path)
-        refusals.append(str(told.value))
+        refusals.append(str(refused.value))
 
     waiting = threading.Thread(target=second)
     waiting.start()
@@ -310,14 +310,14 @@ WORDS = {
 def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.Signals, record_property: Row) -> None:
     before = logs(long)
     command = [sys.executable, "-m", "daq", *WORDS[what]]
-    heard = lambda: signal.signal(number, signal.SIG_DFL)  # noqa: E731 - a shell's background jobs do not hear Ctrl-C
+    restore_default = lambda: signal.signal(number, signal.SIG_DFL)  # noqa: E731 - a shell's background jobs do not hear Ctrl-C
     with subprocess.Popen(
         command,
         cwd=long,
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        preexec_fn=heard,  # noqa: PLW1509
+        preexec_fn=restore_default,  # noqa: PLW1509
     ) as process:
         until(lambda: process.poll() is not None or logs(long) != before)
         assert [n for n in logs(long) if n not in before] == [n for n in logs(long) if n.startswith(".o.")]
@@ -333,7 +333,7 @@ def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.S
 
 @pytest.mark.slow
 def test_nohup(folder: Path) -> None:
-    """The terminal goes, a measurement that was told to stay does."""
+    """The terminal goes, a measurement with nohup stays."""
     command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", "b.mcap"]
     ignored = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, preexec_fn=ignored) as run:  # noqa: PLW1509
