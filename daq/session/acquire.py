@@ -1,4 +1,4 @@
-"""A session from the opening of a link to the closing of its log; several at once, apart from each other."""
+"""A session from the opening of a link to the closing of its log; several sessions run independently."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .estimators import MakeEstimator, maker, warm_up
 from .pipeline import Pipeline, Plan
 from .reading_queue import QUEUE_BYTES, ReadingQueue
 
-FINITE_KINDS = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
-RECORDED_KINDS = ("capture", "replay")  # of those, what was recorded before
+FINITE_KINDS = ("capture", "replay", "simulated")  # kinds of link that wait for the reader; all others are live
+RECORDED_KINDS = ("capture", "replay")  # of those, the recorded ones
 READ_S = 0.1
-LINK_S = 0.5  # a link that is closed wakes whoever reads it
+LINK_S = 0.5  # a closed link wakes its reader within this time
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
-OPEN_S = 0.05  # a stop is looked for this often while the link is opened
+OPEN_S = 0.05  # interval of the check for a stop while the link is opened
 STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
 ANSWER_S = 30.0  # and this long for a diagnosis that is under way, unless stopped
@@ -116,7 +116,7 @@ def acquire_from(
     Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
     driver raised against its contract, after the sinks are closed.
     """
-    keep_freed()  # with a heap for each thread what lies free in them grows for hours
+    keep_freed()  # with a heap for each thread, their free memory grows for hours
     clock, stop = clock or SystemClock(), stop or threading.Event()
     live = driver.kind not in FINITE_KINDS
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
@@ -167,7 +167,7 @@ class _Core:
     clock: Clock
     stop: threading.Event
     seconds: float | None  # of data to acquire; None: until the source ends or `stop` is set
-    live: bool  # the device does not wait for us
+    live: bool  # the device does not wait for the reader
     grace_s: float
 
     def follow(self) -> None:
@@ -196,12 +196,12 @@ class _Core:
             reader.join(STOP_S)
 
     def take_rest(self) -> None:
-        """Log what was read before the stop; of a file it can be read again."""
+        """Log the readings that came before the stop; a file can be read again."""
         while not self.pipeline.done and (self.live or not self.stop.is_set()) and (rest := self.queue.take(0.0)):
             self.pipeline.step(rest)
 
     def wait_for_diagnosis(self) -> None:
-        """Give a sink that was asked for a diagnosis the time to answer."""
+        """Wait for the diagnosis of a sink that is under way."""
         until_ns = self.clock.now_ns() + ANSWER_S * 1e9
         self._tick()
         while self.pipeline.pending and not self.stop.is_set() and self.clock.now_ns() < until_ns:
@@ -240,7 +240,7 @@ def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
 
 
 def _open_unless_stopped(driver: Driver, stop: threading.Event, before: Callable[[], None]) -> None:
-    """Open the link, after what is done before, in a thread: a host that does not answer must not hold a stop."""
+    """Open the link in a thread, after `before`: a host that does not answer must not delay a stop."""
     failures: list[BaseException] = []
     left, done = threading.Event(), threading.Event()
 
@@ -265,7 +265,7 @@ def _open_unless_stopped(driver: Driver, stop: threading.Event, before: Callable
 
 
 def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float | None) -> None:
-    """Before a live session: what it compiles and loads must not hold it later."""
+    """Compile and load before a live session what would delay it later."""
     with contextlib.suppress(ValueError):  # the pipeline meets it again, and says so
         if rate_hz:
             warm_up(make, rig.model, rate_hz, block_rows(rate_hz))
@@ -314,24 +314,24 @@ def acquire_all(
     devices: Sequence[Device], seconds: float | None = None, stop: threading.Event | None = None,
     *, notify: Callable[[str, Notice], None] | None = None, make: MakeEstimator | None = None,
 ) -> dict[str, RunSummary | Exception]:  # fmt: skip
-    """Each device in a core loop of its own, so that none waits for another; the outcome by name of the device.
+    """Outcome of each device by its name. Each device has a separate core loop, so that none waits for another.
 
-    An exception is the outcome of the device that it happened to, and ends no other.
+    An exception is the outcome of its device, and ends no other.
     """
     outcome: dict[str, RunSummary | Exception] = {}
     stop = stop or threading.Event()
 
     def run(device: Device) -> None:
-        tell = None if notify is None else lambda notice: notify(device.name, notice)
+        report = None if notify is None else lambda notice: notify(device.name, notice)
         try:
             outcome[device.name] = acquire_from(
                 device.rig, device.driver, device.sinks, seconds, stop,
-                device=device.name, metadata=device.metadata, notify=tell, make=make,
+                device=device.name, metadata=device.metadata, notify=report, make=make,
             )  # fmt: skip
         except Exception as error:
             outcome[device.name] = error
-            if tell is not None:
-                tell(Notice(SystemClock().now_ns(), "error", "device_failed", str(error) or repr(error)))
+            if report is not None:
+                report(Notice(SystemClock().now_ns(), "error", "device_failed", str(error) or repr(error)))
 
     threads = [threading.Thread(target=run, args=(d,), name=f"core {d.name}", daemon=True) for d in devices]
     for thread in threads:

@@ -13,7 +13,7 @@ from .ring import Ring
 BLOCK_S = 0.04
 PERIOD_S = 0.5  # an estimate at least this often, in time of the data
 HELD_S = 4.0
-LONGEST_GAP_S = 60.0  # the estimator is told of no more than this of a gap
+LONGEST_GAP_S = 60.0  # the estimator receives at most this much of a gap
 
 
 def block_rows(rate_hz: float) -> int:
@@ -24,7 +24,7 @@ def block_rows(rate_hz: float) -> int:
 class Estimation:
     """Rows in, blocks to the runner. The blocks depend on the absolute index alone, so replay repeats them exactly.
 
-    The first block is filled up with NaN before the first row; what is left at the end is not estimated from.
+    The first block is padded with NaN before the first row. Rows after the last whole block are not used.
     """
 
     def __init__(self, runner: EstimatorRunner, channels: int, rate_hz: float, first: int) -> None:
@@ -37,7 +37,7 @@ class Estimation:
         held = max(8, int(HELD_S * rate_hz / self.rows)) * self.rows
         self.ring = Ring(held, channels, self._fed)
         self.ring.skip(first - self._fed)
-        self._told = self._fed
+        self._asked_at = self._fed
 
     def append(self, rows: NDArray[np.float64], stamp: int = 0) -> None:
         """Take rows (n, channels), SI, NaN where clipped. stamp comes back with the estimates that became due."""
@@ -47,7 +47,7 @@ class Estimation:
             self._feed(stamp)
 
     def skip(self, count: int) -> None:
-        """`count` rows are missing. Of a gap longer than a minute, the estimator does not see whole periods."""
+        """Pass over `count` missing rows. Of a gap longer than a minute, whole periods are left out."""
         period = self.rows * self._every
         if count > self._longest_gap + 2 * period:
             left_out = (count - self._longest_gap) // period * period
@@ -60,8 +60,8 @@ class Estimation:
         self._skip(count)
 
     def finish(self, timeout_s: float) -> bool:
-        """Ask for the estimate after the last whole block, unless it was; False if the runner has no time for it."""
-        if self._fed != self._told:
+        """Request the estimate after the last whole block, if still due; False if the runner ran out of time."""
+        if self._fed != self._asked_at:
             self.runner.put(None, Ask(self._zero, 0))
         return self.runner.close(timeout_s)
 
@@ -78,4 +78,4 @@ class Estimation:
             self._fed += self.rows
             due = self._fed // self.rows % self._every == 0
             self.runner.put(block, Ask(self._zero, stamp) if due else None)
-            self._told = self._fed if due else self._told
+            self._asked_at = self._fed if due else self._asked_at

@@ -1,4 +1,4 @@
-"""Runs a rolling estimator over blocks in their order: at once, or in a thread of its own that nobody waits for."""
+"""Runs a rolling estimator over blocks in their order: at once, or in a separate thread that no caller waits for."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Answer:
 
 
 class EstimatorRunner:
-    """`put` blocks, `take` answers. The same blocks give the same answers, whoever runs them.
+    """`put` blocks, `take` answers. The same blocks give the same answers, in a thread or not.
 
     wake : None to run within `put`; else a thread runs, and calls it when there is an answer. Nothing is dropped here:
     `busy` asks the core loop to put no more (ten seconds wait by then); the reader's queue has the overflow policy.
@@ -105,7 +105,7 @@ class EstimatorRunner:
                 self._wake()
 
     def _do(self, block: NDArray[np.float64] | None, ask: Ask | None) -> bool:
-        """One block and perhaps a snapshot; whether there is something to hear."""
+        """One block and perhaps a snapshot; whether there is an answer."""
         estimator = self._estimator
         if estimator is None or self._closed:
             return False

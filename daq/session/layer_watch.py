@@ -1,8 +1,8 @@
-"""Says while a session runs what the layers of a diagnosis see: the record, the machine and the structure.
+"""Reports during a session what the layers of a diagnosis find: record, machine and structure.
 
-What makes a channel unfit to be judged, and a strike train, are said as they come. A window of ten seconds is looked
-at, one after the other, so a strike train is flagged within 20 s of its beginning. At high rates only the end of each
-window is looked at: 131072 samples a channel, and not less than 5 s.
+Faults that make a channel unfit to be judged, and impact trains, are reported as they come. Windows of ten seconds are
+analysed one after the other, so an impact train is reported within 20 s of its start. At high rates only the end of
+each window is analysed: 131072 samples a channel, and not less than 5 s.
 """
 
 from __future__ import annotations
@@ -28,34 +28,36 @@ from .ring import KeptSamples
 if TYPE_CHECKING:
     from estimator.identification.structure import StructureSurvey
 
-WINDOW_S = 10.0  # that is looked at, one after the other
+WINDOW_S = 10.0  # that is analysed, one after the other
 COSTLY_ROWS = 131_072  # of a window, beyond which its beginning is left out: 5.1 s at 25.6 kHz, at half the cost;
 LEAST_LOOK_S = 5.0  # but no more than half: a strike train then has to be 1.2 times as strong to be found
 STRUCTURE_EVERY = 3  # windows: modes change slowly
-FORGET_WINDOWS = 3  # without a train or a tone, before it is said again
+FORGET_WINDOWS = 3  # without a train or a tone, before it is reported again
 SAID_ELSEWHERE = frozenset({"gaps", "missing_samples", "empty_channel"})  # by the ledger and the watch of the link
 RECORD_FINDING, STRIKES_FOUND = "record_finding", "strikes_found"  # codes of warnings
 TONES_FOUND, LAYERS_SEEN = "tones_found", "layers"  # codes of remarks; the last one has all layers, a line each
 LAYER_CODES = frozenset({RECORD_FINDING, STRIKES_FOUND, TONES_FOUND, LAYERS_SEEN})
 
-Heard = Callable[[int, Mapping[str, Any]], None]  # index behind a window, its layers as JSON; from any thread
+LayersListener = Callable[[int, Mapping[str, Any]], None]  # index behind a window, its layers as JSON; any thread
 
 
 class LayerWatch:
-    """A sink. live : a window is left out while the look at the one before goes on; a replay waits for it.
+    """A sink. live : a window is left out while the analysis of the one before it runs; a replay waits instead.
 
-    Looks are taken in a thread. The windows are multiples of the absolute index, so a replay says the same.
+    A thread analyses the windows. They lie at multiples of the absolute index, so a replay reports the same.
     """
 
-    def __init__(self, model: Model, live: bool, units: Sequence[str], hear: Sequence[Heard] = ()) -> None:
-        """units : SI unit of each channel. hear : who is given the layers of each window."""
+    def __init__(
+        self, model: Model, live: bool, units: Sequence[str], listeners: Sequence[LayersListener] = ()
+    ) -> None:
+        """units : SI unit of each channel. listeners : called with the layers of each window."""
         self._model, self._live = model, live
         self._units = dict(zip((c.name for c in model.channels), units, strict=True))
-        self._hear = hear
+        self._listeners = listeners
         self._kept = KeptSamples(model, 2.0 * WINDOW_S)
         self._info: Info | None = None
         self._next: int | None = None  # first sample of the next window
-        self._standing: dict[tuple[str, ...], int] = {}  # what has been said -> the last window that shows it
+        self._standing: dict[tuple[str, ...], int] = {}  # what has been reported -> the last window that shows it
         self._structure: StructureSurvey | None = None
         self._notices: deque[Notice] = deque()
         self._thread: threading.Thread | None = None
@@ -86,7 +88,7 @@ class LayerWatch:
         self._kept.begin(info)
 
     def _look(self, index: int) -> None:
-        """Look at the window that is complete, if there is one. index : of the block."""
+        """Analyse the window that is complete, if there is one. index : of the block."""
         rows = max(1, round(WINDOW_S * self._kept.rate_hz))
         if self._next is None:
             self._next = -(-index // rows) * rows
@@ -112,8 +114,8 @@ class LayerWatch:
     def _survey(
         self, y: NDArray[np.float64], rate_hz: float, window: int, first: int, full_scale: Mapping[str, int]
     ) -> None:
-        """Say what is new in a window. window : its number. first : absolute index of its first sample that is looked
-        at. full_scale : channel -> its samples that are left out."""
+        """Report what is new in a window. window : its number. first : absolute index of its first sample that is
+        analysed. full_scale : channel -> its samples that are left out."""
         from estimator.identification.machine import survey_machine
         from estimator.identification.record import severity, survey_record, without_spikes
         from estimator.identification.structure import survey_structure
@@ -127,11 +129,11 @@ class LayerWatch:
         y = without_spikes(self._model, y, record)
         machine = survey_machine(self._model, y, rate_hz, record, live=True)
         when = f"{first_s:.4g} to {first_s + len(y) / rate_hz:.4g} s"
-        told = machine.to_json()
-        for train in told["strikes"]:
+        found = machine.to_json()
+        for train in found["strikes"]:
             if self._is_new((STRIKES_FOUND, train["name"]), window):
                 self._say("warning", STRIKES_FOUND, f"{strike_text(train)}, seen from {when}")
-        tones = [tone for tone in told["tones"] if self._is_new((TONES_FOUND, _rounded(tone_name(tone))), window)]
+        tones = [tone for tone in found["tones"] if self._is_new((TONES_FOUND, _rounded(tone_name(tone))), window)]
         if tones:
             self._say("info", TONES_FOUND, f"tones from {when}: " + "; ".join(map(tone_text, tones)))
         if self._structure is None or window % STRUCTURE_EVERY == 0:
@@ -139,16 +141,16 @@ class LayerWatch:
         levels = severity(self._model, y, rate_hz, record, full_scale)
         seen = {
             "record": with_severity(record.to_json(), levels),
-            "machine": told,
+            "machine": found,
             "structure": self._structure.to_json(),
         }
-        for heard in self._hear:
-            heard((window + 1) * len(y), seen)
+        for listener in self._listeners:
+            listener((window + 1) * len(y), seen)
         text = [f"{name}: {line}" if name else f"  {line}" for name, line in lines(seen, self._units)]
         self._say("info", LAYERS_SEEN, "\n".join([f"layers from {when}", *text]))
 
     def _is_new(self, key: tuple[str, ...], window: int) -> bool:
-        """Whether something has not been seen in the windows before."""
+        """Whether something was not found in the last windows."""
         before = self._standing.get(key)
         self._standing[key] = window
         return before is None or window - before > FORGET_WINDOWS
@@ -158,6 +160,6 @@ class LayerWatch:
 
 
 def _rounded(name: str) -> str:
-    """A name of a tone in which a frequency that wanders by a few per cent is one."""
+    """Name of a tone with its frequency rounded, so that a drift of a few per cent does not change it."""
     words = [f"{float(word):.2g}" if word.replace(".", "", 1).isdigit() else word for word in name.split()]
     return " ".join(words)

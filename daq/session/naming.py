@@ -1,9 +1,9 @@
-"""Names a force that begins to be missing while a session runs: the diagnosis of the last seconds, when needed.
+"""Names an effect that the model begins to lack during a session: it diagnoses the last seconds when needed.
 
-The rolling estimator says in every estimate which candidate effects it is certain of (estimator/watch.py). This sink
-keeps the last samples. When something certain is new, or the parameters have jumped, it says so at once; when enough
-data of the new state are there, it has the whole catalogue tried on them, in a process of its own if live. When it
-asks, and on which samples, depends on the estimates and their indices alone, so a replay says the same.
+The rolling estimator marks in every estimate the candidate effects that are certain (estimator/watch.py). This sink
+keeps the last samples. It reports a new certain effect or a jump of the parameters at once. When enough data of the
+new state are there, it tries the whole catalogue on them, in a separate process if live. Time and samples of a
+diagnosis depend on the estimates and their indices alone, so a replay reports the same.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from .ring import KeptSamples
 KEPT_S = 30.0  # of samples
 ENOUGH_S = 7.0  # of the new state, to try the catalogue on
 EVERY_S = 60.0  # at most so often
-SETTLING_S = 20.0  # after a change: what follows within it is the estimator settling
+SETTLING_S = 20.0  # after a change, in which the estimator settles
 NEW_FORCE_RATIO = 1.5  # times the missing force of the last time: something else has come
-MIN_MEMORY_SHARE = 0.6  # of its length: an estimator whose memory falls below that has dropped what is before a change
+MIN_MEMORY_SHARE = 0.6  # of its length: an estimator with less memory has dropped the samples before a change
 CHILD_S = 120.0
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What the model lacks in these samples. known : effects found before, with their places."""
+    """A request to diagnose these samples. known : effects found before, with their places."""
 
     text: str
     base: Path
@@ -73,7 +73,7 @@ def answer(question: Question) -> dict[str, Any]:
 
 
 class Naming:
-    """A sink. live : the catalogue is tried in a process of its own, and close() does not wait for it."""
+    """A sink. live : the catalogue is tried in a separate process, and close() does not wait for it."""
 
     def __init__(
         self, rig: Rig, live: bool, ask: Callable[[Question], dict[str, Any]] = answer, enough_s: float = ENOUGH_S
@@ -135,16 +135,16 @@ class Naming:
         self._before, self._since = None, None
 
     def _look_for_a_jump(self, now: Estimate) -> None:
-        """The estimator drops its memory when the parameters are no longer what they were."""
+        """Detect a jump of the parameters by the memory that the estimator drops."""
         before, gap = self._before, self._gap
         if not now.parameters:
             return
         self._before, self._gap = now, False
-        if before is None or gap or _background(before) != _background(now):  # which is no change of the machine
+        if before is None or gap or _background(before) != _background(now):  # which are no change of the machine
             return
         if now.samples > MIN_MEMORY_SHARE * before.samples:
             return
-        if self._since is None or before.index - before.samples >= self._since:  # it had forgotten the old state
+        if self._since is None or before.index - before.samples >= self._since:  # it had dropped the old state
             self._since = now.index
         settling = self._changed is not None and now.index - self._changed < SETTLING_S * self._rate_hz
         self._changed = now.index if not settling else self._changed
@@ -171,9 +171,9 @@ class Naming:
             return
         self._level = extra[MISSING_FORCE_KEY]
         if self._asked is not None and now.index - self._asked < SETTLING_S * self._rate_hz:
-            return  # the diagnosis after a jump has just told of it
+            return  # the diagnosis after a jump has just reported it
         if self._since is None:
-            self._since = now.index  # what is before may be of a time when nothing was missing
+            self._since = now.index  # earlier samples may be of a state in which nothing was missing
         best, *others = sure
         percent = extra[MISSING_FORCE_KEY]
         text = f"a force is missing from the model at {self._s(now.index)}: {percent:.2f} % of the bearing force"
@@ -181,7 +181,7 @@ class Naming:
         self._say("warning", "missing_force", text)
 
     def _name(self, index: int) -> None:
-        """Ask what is missing from the samples of the new state."""
+        """Diagnose the samples of the new state."""
         if self._thread is not None and self._thread.is_alive():
             return
         first = max(self._since or 0, index - round(KEPT_S * self._rate_hz))
@@ -198,7 +198,7 @@ class Naming:
             since_s=first / self._rate_hz,
         )
         if not self._live:
-            self._tell(self._ask(question), question)
+            self._report(self._ask(question), question)
             return
         self._thread = threading.Thread(target=self._in_a_child, args=(question,), name="naming", daemon=True)
         self._thread.start()
@@ -216,9 +216,9 @@ class Naming:
             if self._child is not None:
                 self._child.kill()
             found = {"error": f"the diagnosis did not finish: {problem}"}
-        self._tell(found, question)
+        self._report(found, question)
 
-    def _tell(self, found: Mapping[str, Any], question: Question) -> None:
+    def _report(self, found: Mapping[str, Any], question: Question) -> None:
         level, code, text = said(found, question)
         if code == "effect_named":
             row = found["ranking"][0]

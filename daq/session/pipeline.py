@@ -1,4 +1,4 @@
-"""The core loop's body for one device: what happens to readings, in which order."""
+"""The body of the core loop for one device: it passes readings to sinks, ring and estimator in order."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STATUS_NS = 1_000_000_000
 CLIPPED_EVERY_S = 10.0
 STALE_S = 10.0  # to finish with the estimator of a rate that the device has left
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
-# What the pipeline itself says; a replay says it again, so it is not taken from the log.
+# Codes of the pipeline's own notices; a replay makes them again, so they are not taken from the log.
 OWN_CODES = frozenset(
     {"clipped", "no_estimate", "estimator_failed", "sink_failed", "channels_by_order", "stopped_behind"}
     | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
@@ -43,9 +43,9 @@ LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a session is about. model : of the rig; metadata, attachments : for its log; device : its name, "" if alone.
+    """Settings of a session. model : of the rig; metadata, attachments : for its log; device : its name, "" if alone.
 
-    make : what makes its estimator; None: no estimates. rate_hz : expected sampling rate; None: any.
+    make : makes its estimator; None: no estimates. rate_hz : expected sampling rate; None: any.
     limit_s : seconds of data; None: no limit. busy_blocks : that wait for the estimator at most.
     """
 
@@ -61,7 +61,7 @@ class Plan:
 
 
 class Pipeline:
-    """One device: `step` for what arrived, `tick` for what time brings, `finish` at the end. Called from one thread.
+    """Pipeline of one device: `step` takes readings, `tick` does periodic work, `finish` ends it. One thread.
 
     Order of things: sinks get the raw readings, then the ring, then the estimator, then sinks its estimates. A sink
     that raises OSError is reported and kept; one that raises anything else is reported and left out from then on.
@@ -84,10 +84,10 @@ class Pipeline:
         self._info: Info | None = None
         self._rate_since: tuple[int | None, float] = None, 0.0  # index of the last change of rate, seconds before it
         self._scaling: Scaling | None = None
-        self._columns: list[int] = []  # which signal each channel of the model is
+        self._columns: list[int] = []  # signal of each channel of the model
         self._estimation: Estimation | None = None
-        self._early: list[Reading] = []  # before the device said what it is
-        self._told_early: list[Notice] = []
+        self._early: list[Reading] = []  # readings before the first description of the device
+        self._notified_early: list[Notice] = []
         self._unsaid: list[Reading] = []
         self._reported: set[str] = set()
         self._status_ns = clock.now_ns()
@@ -102,16 +102,16 @@ class Pipeline:
         self.problems: list[str] = []
         self.lost_log = ""  # why the log does not hold everything
         self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
-        self.pending = False  # whether a sink has something to say still, as it was last heard
+        self.pending = False  # whether a sink still has something to report, at its last status
 
     @property
     def done(self) -> bool:
-        """The time asked for is over."""
+        """Whether the requested time is over."""
         return self.ledger.full
 
     @property
     def busy(self) -> bool:
-        """The estimator is ten seconds behind: better not step now."""
+        """Whether the estimator is ten seconds behind, so that `step` should wait."""
         return self._estimation is not None and self._estimation.runner.busy
 
     @property
@@ -120,7 +120,7 @@ class Pipeline:
 
     @property
     def seconds(self) -> float:
-        """Of data so far, gaps included."""
+        """Seconds of data so far, gaps included."""
         since, seconds = self._rate_since
         start = self.ledger.first if since is None else since
         return seconds + (0 if start is None or not self._info else (self.ledger.stop - start) / self._info.rate_hz)
@@ -140,7 +140,7 @@ class Pipeline:
             self._watch.rate_of_rig(readings)
 
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
-        """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
+        """Called from time to time: ask the sinks, report what waits, and once a second give the status."""
         self._hear_sinks()
         self._watch.overflow(dropped.get("reader", 0), final)
         if self._live:
@@ -172,9 +172,9 @@ class Pipeline:
         self._each_sink("status", lambda sink: sink.status(status))
 
     def finish(self, stats: LinkStats, dropped: Mapping[str, int], estimator_s: float = 10.0) -> None:
-        """The last estimate and status; every sink is closed, whatever happens to the others.
+        """Give the last estimate and status, and close every sink, even if others fail.
 
-        An estimator that needs more than `estimator_s` for what it has not done yet is not waited for.
+        The pipeline waits at most `estimator_s` for the estimator.
         """
         try:
             if self._estimation is not None:
@@ -197,15 +197,15 @@ class Pipeline:
     def _accept(self, reading: Reading) -> list[Reading]:
         if self._info is None and not isinstance(reading, Info):
             self._early.append(reading)
-            if isinstance(reading, Notice):  # the log has to wait for the device, the operator has not
-                self._tell(reading)
-                self._told_early.append(reading)
-                self._watch.heard(reading)
+            if isinstance(reading, Notice):  # the log waits for the description of the device, the operator does not
+                self._notify_operator(reading)
+                self._notified_early.append(reading)
+                self._watch.warned(reading)
             return []
         return self.ledger.accept(reading)
 
     def _take(self, batch: list[Reading]) -> list[Reading]:
-        """Raw to the sinks first, then everything that is computed. Returns an empty batch."""
+        """Give raw readings to the sinks first, then process them. Returns an empty batch."""
         if self._info is not None and (batch or self._unsaid):
             said, self._unsaid = self._unsaid, []
             whole = [*said, *batch]
@@ -225,12 +225,12 @@ class Pipeline:
                 self._estimator_at(reading.index).skip(reading.count)
                 self._collect()
         elif isinstance(reading, Notice):
-            if reading in self._told_early:
-                self._told_early.remove(reading)
+            if reading in self._notified_early:
+                self._notified_early.remove(reading)
             else:
-                self._tell(reading)
+                self._notify_operator(reading)
 
-    def _tell(self, notice: Notice) -> None:
+    def _notify_operator(self, notice: Notice) -> None:
         if notice.level == "error":
             self.problems.append(notice.text)
         if notice.code in LOG_LOST_CODES:
@@ -256,7 +256,7 @@ class Pipeline:
         self._collect()
 
     def _collect(self) -> None:
-        """Hand on what is estimated."""
+        """Give the sinks the estimates that are ready."""
         runner = self._estimation.runner if self._estimation else None
         if runner is None:
             return
@@ -273,7 +273,7 @@ class Pipeline:
     # -- what the device is ---------------------------------------------------------------------------------------
 
     def _introduce(self, info: Info) -> None:
-        """The device has said what it is, for the first time or anew."""
+        """Take a description of the device, the first or a changed one."""
         if info == self._info:
             return
         first, before, seconds = self._info is None, self._info, self.seconds
@@ -304,7 +304,7 @@ class Pipeline:
             self._take([r for reading in early for r in self.ledger.accept(reading)])
 
     def _columns_of(self, info: Info) -> list[int]:
-        """Which signal each channel of the model is: by name, or else in order if there are as many."""
+        """Signal of each channel of the model: by name, or else in order if the numbers are equal."""
         names = [s.name for s in info.signals]
         wanted = [c.name for c in self._plan.model.channels]
         if all(name in names for name in wanted):
@@ -320,7 +320,7 @@ class Pipeline:
         )
 
     def _other_quantity(self) -> str:
-        """Which channel is not what the rig file says: samples are kept, but no law holds for them."""
+        """The channel whose quantity differs from the rig file; its samples are logged, but not estimated from."""
         signals = self._info.signals if self._info else ()
         for channel, column in zip(self._plan.model.channels, self._columns, strict=False):
             unit = signals[column].unit
@@ -348,7 +348,7 @@ class Pipeline:
     # -- saying things --------------------------------------------------------------------------------------------
 
     def _say(self, level: str, code: str, text: str) -> None:
-        """To the sinks with the next readings, and to the operator."""
+        """Give a notice to the sinks with the next readings, and to the operator."""
         self._unsaid.append(Notice(self._clock.now_ns(), level, code, text))
 
     def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:
@@ -361,7 +361,7 @@ class Pipeline:
         self._say("warning", "clipped", text)
 
     def _lag(self, stage: str, since_ns: int) -> None:
-        """The largest lag of a stage since the last status."""
+        """Keep the largest lag of a stage since the last status."""
         self._lag_s[stage] = max(self._lag_s.get(stage, 0.0), (self._clock.now_ns() - since_ns) / 1e9)
 
     def _hear_sinks(self) -> None:
@@ -378,14 +378,14 @@ class Pipeline:
                 call(sink)
             except OSError as error:
                 self._report(sink, f"{what}: {error.strerror or error}; it is tried again")
-            except Exception as error:  # a defect there must not stop acquisition
+            except Exception as error:  # a defect of a sink must not stop acquisition
                 self._sinks.remove(sink)
                 self._reporting = [other for other in self._reporting if other is not sink]
                 if isinstance(error, LogError) and not self._live and what != "close":
                     raise  # nobody is acquiring: without its log there is no point in going on
                 if isinstance(sink, Reporting):
                     self._unsaid += sink.health().notices
-                if not isinstance(error, LogError):  # which has been said
+                if not isinstance(error, LogError):  # which has been reported
                     self._report(sink, f"{what}: {error!r}; it is left out from now on")
 
     def _report(self, sink: Sink, problem: str) -> None:

@@ -57,8 +57,8 @@ class Replayable(Protocol):
 class ReplayDriver:
     """The readings of a log, in order. speed : times real time, by the samples' own time axis; None: at once.
 
-    What the service itself had said (clipping, trouble with the disk) is left out: it will say it again if it is so.
-    A log that somebody is writing is said to be one: it ends where it did as it was read.
+    Notices of the service itself (clipping, faults of the disk) are left out, because the replay makes them again.
+    A log that is still being written is reported: its replay ends where the log ended when it was read.
     """
 
     kind = "replay"
@@ -74,7 +74,7 @@ class ReplayDriver:
         self._closed = threading.Event()
         self._source: Iterator[Reading] | None = None
         self._next: Reading | None = None
-        self._told = not recording.growing
+        self._growing_reported = not recording.growing
         self._start_ns = 0
         self.exhausted = False
 
@@ -101,8 +101,8 @@ class ReplayDriver:
                 break
             if isinstance(reading, Notice) and (reading.code in OWN_CODES or reading.code.startswith("log_")):
                 continue
-            if isinstance(reading, Block) and not self._told:
-                self._told = True
+            if isinstance(reading, Block) and not self._growing_reported:
+                self._growing_reported = True
                 out.append(self._growing(reading.t_host_ns))
             out.append(reading)
             self._count(reading)
@@ -110,7 +110,7 @@ class ReplayDriver:
         return out
 
     def _due(self, block: Block, deadline_ns: int, have_some: bool) -> bool:
-        """Wait until the block's last sample is due; False if that is after the deadline or others should go first."""
+        """Wait until the block's last sample is due; False if that is after the deadline or other readings go first."""
         if self._speed is None:
             return True
         end_s = (block.index + len(block.counts) - self._recording.first) / self._recording.rate_hz / self._speed
@@ -154,7 +154,7 @@ class EstimateCheck:
 
     @property
     def identical(self) -> bool:
-        """All logged estimates came again, and no others; a log that was cut may give more at its end."""
+        """Whether exactly the logged estimates came again; a log that was cut may give more at its end."""
         if not (self._equal and self._next is None):
             return False
         recording = self._recording

@@ -17,7 +17,7 @@ from daq.rig.rig import Rig
 from drivers.contract import LinkOpenError
 
 from .acquire import FINITE_KINDS, RECORDED_KINDS, Notify, RunSummary, acquire_from
-from .layer_watch import Heard, LayerWatch
+from .layer_watch import LayersListener, LayerWatch
 from .links import open_driver
 from .naming import Naming
 from .replay import logged_rig, replay_into
@@ -152,13 +152,13 @@ def _sinks(rig: Rig, out: str | Path | None, live: bool, recorded: Recorded | No
     return writers + naming_sinks(rig, live)
 
 
-def naming_sinks(rig: Rig, live: bool, hear: Sequence[Heard] = ()) -> list[Sink]:
+def naming_sinks(rig: Rig, live: bool, listeners: Sequence[LayersListener] = ()) -> list[Sink]:
     """The sinks that say what the layers see, and name a force that begins to be missing.
 
-    The second one is there if the rolling estimate of the rig looks for a missing force. hear : who gets the layers.
+    The second one is there if the rolling estimate of the rig looks for a missing force. listeners : get the layers.
     """
     naming: list[Sink] = [Naming(rig, live)] if rig.estimator.method == "spectral" else []
-    return [LayerWatch(rig.model, live, rig.si_units, hear), *naming]
+    return [LayerWatch(rig.model, live, rig.si_units, listeners), *naming]
 
 
 def log_path(sinks: Sequence[Sink], out: Path | None) -> Path | None:

@@ -64,12 +64,12 @@ def run_devices(
             live = driver.kind not in FINITE_KINDS
             segmented = watching is not None and watching.cut is not None
             log = None if out is None else out / (name if segmented else f"{name}.mcap")
-            shown, watch = None if server is None else server.sink(), Watched(sinks=[], hear=[])
+            shown, watch = None if server is None else server.sink(), Watched(sinks=[], layer_listeners=[])
             if watching is not None:
                 watch = watched(watching, rig, log, name, live=live, publisher=publisher, metrics=shown)
             viewer = _viewer(rerun, name, first=not devices)
             sinks = [*watch.sinks, *make_sinks(output, None if segmented else log, viewer, live=live, table=False)]
-            sinks += naming_sinks(rig, live, watch.hear)
+            sinks += naming_sinks(rig, live, watch.layer_listeners)
             for sink in sinks:
                 undo.callback(sink.close)
             if shown is not None:

@@ -74,7 +74,7 @@ def run_rig(
         wanted = None if not importing else lambda: not stop.event.is_set()
         recorded, offset_ns = driver.kind in RECORDED_KINDS, getattr(driver, "wall_offset_ns", None)
         shown = None if server is None else server.sink()
-        log, watch = out, Watched(sinks=[], hear=[])
+        log, watch = out, Watched(sinks=[], layer_listeners=[])
         if watching is not None:
             of, log = Recorded(offset_ns) if recorded else None, out if watching.cut is None else None
             publisher = watching.publisher(output, [rig], leaving)
@@ -82,7 +82,7 @@ def run_rig(
                 watching, rig, out, rig.model.name, live=live, recorded=of, publisher=publisher, metrics=shown
             )  # fmt: skip
         own = make_sinks(output, log, rerun, live=live, wanted=wanted, recorded=recorded, wall_offset_ns=offset_ns)
-        sinks = [*watch.sinks, *own, *naming_sinks(rig, live, watch.hear)]
+        sinks = [*watch.sinks, *own, *naming_sinks(rig, live, watch.layer_listeners)]
         if shown is not None:
             sinks.append(shown)
         metadata = {"command": command, "link": link or rig.link.url or ""}

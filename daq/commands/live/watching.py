@@ -15,7 +15,7 @@ from daq.base.contract.errors import ConfigError
 from daq.base.contract.sink import Sink
 from daq.rig.rig import Rig
 from daq.session.estimation import block_rows
-from daq.session.layer_watch import Heard
+from daq.session.layer_watch import LayersListener
 from daq.trend.alarms.watch import AlarmWatch, Listener
 from daq.trend.names import ALARM_MEMORY, TREND_FOLDER
 from daq.trend.segments import SegmentedLog
@@ -68,10 +68,10 @@ class Watching:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watched:
-    """What a session of one device is watched by. sinks : its own; hear : who is given the layers."""
+    """What watches a session of one device. sinks : further sinks; layer_listeners : called with the layers."""
 
     sinks: list[Sink]
-    hear: list[Heard]
+    layer_listeners: list[LayersListener]
     alarms: AlarmWatch | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -88,24 +88,24 @@ def watched(
     publisher: MqttAlarms | None = None, metrics: MetricsSink | None = None,
 ) -> Watched:  # fmt: skip
     """Segments, trend and alarms of one device. name : of the segments and the topics."""
-    sinks, hear, listeners, memory = list[Sink](), list[Heard](), list[Listener](), None
+    sinks, layer_listeners, listeners, memory = list[Sink](), list[LayersListener](), list[Listener](), None
     offset_ns = None if recorded is None else recorded.wall_offset_ns
     if watching.cut is not None and folder is not None:
         log = SegmentedLog(
             folder, name, watching.cut, watching.keep, block_rows=block_rows, live=live, recorded=recorded
         )  # fmt: skip
         store = TrendStore(folder / TREND_FOLDER, live=live, wall_offset_ns=offset_ns)
-        sinks, hear, listeners, memory = (
+        sinks, layer_listeners, listeners, memory = (
             [log, store],
             [store.layers],
             [store.alarm],
             folder / TREND_FOLDER / ALARM_MEMORY,
         )
     if not rig.alarms:
-        return Watched(sinks=sinks, hear=hear)
+        return Watched(sinks=sinks, layer_listeners=layer_listeners)
     if metrics is not None:
         listeners.append(lambda state: metrics.alarm(state.what, state.state))
     if publisher is not None:
         listeners.append(publisher.listener(name))
     alarms = AlarmWatch(rig, listeners, memory, None if offset_ns is None else lambda: offset_ns)
-    return Watched(sinks=[*sinks, alarms], hear=[*hear, alarms.layers], alarms=alarms)
+    return Watched(sinks=[*sinks, alarms], layer_listeners=[*layer_listeners, alarms.layers], alarms=alarms)
