@@ -35,7 +35,7 @@ def connected(address: str | None) -> Iterator[Any]:
         raise ConfigError(f"--scheduler {address}: give local:N, or an address such as tcp://10.0.0.5:8786")
     else:
         own = _there(str(address))
-    logging.disable(logging.CRITICAL)  # Dask tells of what we say in one line
+    logging.disable(logging.CRITICAL)  # Dask logs at length what the command reports in one line
     try:
         with own as client:
             yield client

@@ -76,13 +76,13 @@ class Known:
 def batch(output: Output, patterns: Sequence[str], out: Path, asked: Asked) -> None:
     """Analyse every log that the patterns name, and keep the answers as tables in `out`."""
     check_installed(BATCH_MODULES, "batch", "batch")
-    begun = time.monotonic()
+    start = time.monotonic()
     logs = find_logs(patterns, asked.rig_source())
     with Results.opened(out) as results:
         known = Known(results.known(), asked.only_failed)
         tasks = [task for task in _tasks(logs, asked, known) if not known.settled(task)]
         loop = _run(output, asked, results, known, tasks) if tasks else None
-        _tell(output, asked, results, (len(logs), known.skipped, time.monotonic() - begun), loop)
+        _report(output, asked, results, (len(logs), known.skipped, time.monotonic() - start), loop)
 
 
 def _tasks(logs: Sequence[LogSource], asked: Asked, known: Known) -> Iterator[Task]:
@@ -101,7 +101,7 @@ def _tasks(logs: Sequence[LogSource], asked: Asked, known: Known) -> Iterator[Ta
 
 
 def _run(output: Output, asked: Asked, results: Results, known: Known, tasks: list[Task]) -> Loop:
-    """Do the tasks. What is done is in the tables, whatever ends it. Raises KeyboardInterrupt if the user does."""
+    """Do the tasks. Finished tasks are stored, however the run ends. Raises KeyboardInterrupt if the user stops it."""
     with Stop() as stop, connected(asked.scheduler) as client, output.progress("batch") as progress:
         loop = Loop(
             client=client, results=results, timeout_s=asked.timeout_s, windows=asked.windows, names=asked.names,
@@ -118,10 +118,10 @@ def _run(output: Output, asked: Asked, results: Results, known: Known, tasks: li
     return loop
 
 
-def _tell(
+def _report(
     output: Output, asked: Asked, results: Results, counts: tuple[int, int, float], loop: Loop | None
 ) -> None:  # fmt: skip
-    """What was done, for people and as JSON. Raises LogError if nothing came of anything."""
+    """Report the result, for people and as JSON. Raises LogError if no task succeeded."""
     logs, skipped, seconds = counts
     done, failed = (0, 0) if loop is None else (loop.done - loop.failed, loop.failed)
     rows, bad, verdicts = len(results.known()), results.failed(), results.verdicts()

@@ -15,7 +15,7 @@ from drivers.contract import LinkError
 
 from .tables import Results
 from .task import WINDOWS_TASK, Task, Windows
-from .work import BEGUN_TOPIC, answer
+from .work import STARTED_TOPIC, answer
 
 TICK_S = 0.5  # between two looks at what is overdue
 STORE_S, STORE_SHARE, STORE_ROWS = 2.0, 0.01, 500  # what is done is stored so often, or after a share of the time
@@ -28,9 +28,9 @@ DEAD_TEXT = "ended its worker each time, most likely for want of memory: give --
 
 @dataclass(kw_only=True)
 class Loop:
-    """client : of Dask. timeout_s : of a task; None for none. windows, names : what a log is cut into, if it is.
+    """Runs the tasks of a batch. client : of Dask. timeout_s : of a task; None for none. windows, names : of a log.
 
-    settled : whether a task needs not be done. stopped : whether the user has asked to stop. note : told what goes on.
+    settled : whether a task needs not be done. stopped : whether the user has asked to stop. note : receives remarks.
     """
 
     client: Any
@@ -47,19 +47,19 @@ class Loop:
         self._todo: deque[Task] = deque()
         self._flying: dict[Any, Task] = {}
         self._finished: SimpleQueue[Any] = SimpleQueue()
-        self._begun: dict[str, tuple[float, str]] = {}  # key -> when, and at which worker
+        self._started: dict[str, tuple[float, str]] = {}  # key -> time and worker
         self._rows: list[dict[str, Any]] = []
         self._stored_s = self._started_s = time.monotonic()
         self._counted_s, self._most, self._had_cores = -COUNT_S, LEAST_IN_FLIGHT, True
         self.total = self.done = self.failed = self._pending = 0
 
     def run(self, tasks: Iterable[Task]) -> None:
-        """Do all tasks. What is done is stored, whatever ends it.
+        """Do all tasks. Finished tasks are stored, however the run ends.
 
         Raises LinkError if the scheduler is gone, LogError if results cannot be stored.
         """
         self.more(tasks)
-        self.client.subscribe_topic(BEGUN_TOPIC, self._on_begun)
+        self.client.subscribe_topic(STARTED_TOPIC, self._on_start)
         try:
             while (self._todo or self._flying) and not self.stopped():
                 self._submit()
@@ -70,7 +70,7 @@ class Loop:
             self._store(now=True)
 
     def more(self, tasks: Iterable[Task]) -> None:
-        """Tasks that were found on the way."""
+        """Add further tasks."""
         new = [task for task in tasks if not self.settled(task)]
         self._todo.extend(new)
         self.total += len(new)
@@ -93,7 +93,7 @@ class Loop:
             future.add_done_callback(self._finished.put)
 
     def _take(self) -> None:
-        """Rows of tasks that have come to an end, after waiting a moment for the first one."""
+        """Take the rows of finished tasks, after a short wait for the first one."""
         ended: dict[Any, Task] = {}
         wait = TICK_S if self._flying else 0.0
         while self._flying:
@@ -103,7 +103,7 @@ class Loop:
                 break
             wait = 0.0
             if (task := self._flying.pop(future, None)) is not None:
-                self._begun.pop(task.key, None)
+                self._started.pop(task.key, None)
                 ended[future] = task
         self._look_for_scheduler()
         whole = [future for future in ended if future.status == "finished"]
@@ -111,7 +111,7 @@ class Loop:
             self._keep(row, ended.pop(future))
         for future, task in ended.items():
             self._keep(self._lost(task, future), task)
-        self._tell()
+        self._report_progress()
 
     def _gathered(self, futures: list[Any]) -> list[dict[str, Any]]:
         from concurrent.futures import CancelledError
@@ -139,16 +139,16 @@ class Loop:
         self.done += 1
         self.failed += row["status"] != "done"
 
-    def _on_begun(self, event: tuple[float, Mapping[str, Any]]) -> None:
+    def _on_start(self, event: tuple[float, Mapping[str, Any]]) -> None:
         said = event[1]
-        self._begun[said["key"]] = time.monotonic(), said["worker"]
+        self._started[said["key"]] = time.monotonic(), said["worker"]
 
     def _end_overdue(self) -> None:
         """End the workers of tasks that take too long; their nannies start them again."""
         if self.timeout_s is None:
             return
         for future, task in list(self._flying.items()):
-            since, worker = self._begun.get(task.key, (None, ""))
+            since, worker = self._started.get(task.key, (None, ""))
             if since is None or time.monotonic() - since < self.timeout_s or future.done():
                 continue
             del self._flying[future]
@@ -182,7 +182,7 @@ class Loop:
             self.results.merge()
             self._pending = 0
 
-    def _tell(self) -> None:
+    def _report_progress(self) -> None:
         spent = time.monotonic() - self._started_s
         rate = self.done / spent if spent else 0.0
         text = f"{self.done} of {self.total}"
@@ -194,7 +194,7 @@ class Loop:
 
 
 def failed(task: Task, code: str, reason: str) -> dict[str, Any]:
-    """The row of a task that no worker came to an end with."""
+    """The row of a task that no worker finished."""
     return task.row() | {
         "status": "failed", "code": code, "reason": reason, "notes": [], "rows": {}, "run_at": time.time(),
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a worker does with one task. Whatever goes wrong with a log is a row with its reason."""
+"""The work of a worker on one task. Every failure with a log becomes a row with its reason."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .archive import is_local
 from .rows import rows_of
 from .task import BYTES_PER_MB, WINDOWS_TASK, Task, memory_bytes
 
-BEGUN_TOPIC = "rotorscope"  # of the scheduler's events: which worker has begun which task
+STARTED_TOPIC = "rotorscope"  # of the scheduler's events: which worker has started which task
 USABLE_SHARE = 0.9  # of a worker's memory: at 0.95 its nanny ends it
 KEPT_RIGS = 64
 RESET_PEAK = "5"  # to clear_refs in /proc (Linux): the largest memory counts from now on
@@ -42,15 +42,15 @@ def answer(task: Task) -> dict[str, Any]:
     """The row of a task in the table of runs, with `rows`: what goes into the other tables. Never raises."""
     with _one_at_a_time:
         keep_freed()
-        _say_begun(task)
+        _report_start(task)
         row = task.row() | {"status": "failed", "code": "", "reason": "", "notes": [], "rows": {}}
-        begun, begun_cpu, own_peak = time.monotonic(), time.process_time(), _reset_peak()
+        start, start_cpu, own_peak = time.monotonic(), time.process_time(), _reset_peak()
         try:
             row |= {"run_at": time.time(), **_answered(task, row["notes"].append, row)}
         except Exception as error:
             row |= failure(error, task)
-        row["took_s"] = round(time.monotonic() - begun, 3)
-        row["cpu_s"] = round(time.process_time() - begun_cpu, 3)
+        row["took_s"] = round(time.monotonic() - start, 3)
+        row["cpu_s"] = round(time.process_time() - start_cpu, 3)
         row["peak_mb"] = _peak_mb() if own_peak else None
         _let_go()
         return row
@@ -115,7 +115,7 @@ def _rig(text: str, base: str, path: str) -> Rig:
 
 
 def _afford(task: Task, values: int) -> None:
-    """Raise TooLargeError where the worker has not the memory that the task may take."""
+    """Raise TooLargeError if the worker lacks the memory that the task may take."""
     limit, need = worker_memory(), memory_bytes(task.name, values)
     if limit and need > USABLE_SHARE * limit:
         text = f"{task.name} may take {need / 1e9:.2g} GB of memory, and the worker has {limit / 1e9:.2g} GB"
@@ -134,13 +134,13 @@ def worker_memory() -> int:
     return int(getattr(manager, "memory_limit", None) or MEMORY_LIMIT)
 
 
-def _say_begun(task: Task) -> None:
-    """So that the command knows when to take it for overdue, and where it is."""
+def _report_start(task: Task) -> None:
+    """Report the start of a task and its worker, so that the command can end an overdue one."""
     from distributed import get_worker
 
     with suppress(ValueError):
         worker = get_worker()
-        worker.log_event(BEGUN_TOPIC, {"key": task.key, "worker": worker.address})
+        worker.log_event(STARTED_TOPIC, {"key": task.key, "worker": worker.address})
 
 
 _copy: dict[str, Path] = {}  # of the last log that came over the network
@@ -185,7 +185,7 @@ def _scratch() -> str | None:
 
 
 def _let_go() -> None:
-    """Return what is free to the system: a worker that keeps it would get no further task."""
+    """Return free memory to the system: a worker that keeps it would get no further task."""
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).malloc_trim(0)
 

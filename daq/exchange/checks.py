@@ -1,4 +1,4 @@
-"""Columns of a file against the rig: everything that would otherwise be filled silently is refused, in words."""
+"""Checks columns of a file against the rig. Data that do not fit are refused, and never filled in silently."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .columns import Columns, in_part, plain, titled
 from .formats import RATE_TOLERANCE, read
 
 MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
-NO_VALUE = 1e30  # in whatever unit: no sensor says so much, but instruments write 9.9e37 for "no value"
+NO_VALUE = 1e30  # in any unit: no sensor gives such a value, but instruments write 9.9e37 for "no value"
 # Rates that a time column without a unit gives if it is taken as s, over what they are
 FACTOR_OF_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 FACTOR_TOLERANCE = 0.02
@@ -54,7 +54,7 @@ class Record:
 
     @property
     def lost(self) -> int:
-        """Samples of each channel that are not there."""
+        """Number of missing samples of each channel."""
         return (0 if self.missing is None else int(self.missing.sum())) + sum(count for _, count in self.breaks)
 
     @property
@@ -88,7 +88,7 @@ def load(
 def checked(
     path: Path, columns: Columns, rig: Rig, rate_hz: float | None, note: Callable[[str], None], gaps: bool = False
 ) -> Record:
-    """The record, or LogError: what is wrong, where, and what to do. note : told what is odd but sound."""
+    """The checked record. Raises LogError with fault, place and remedy. note : receives remarks on odd data."""
     names = tuple(c.name for c in rig.model.channels)
     values = tuple(_column(path, columns, name, rig) for name in names)
     lengths = {name: len(v) for name, v in zip(names, values, strict=True)}
@@ -147,7 +147,7 @@ def _kind(value: NDArray[Any]) -> str:
 def _rate(
     path: Path, columns: Columns, given: float | None, samples: int, rig: Rig, gaps: bool, note: Callable[[str], None]
 ) -> tuple[float, NDArray[np.int64] | None]:
-    """The rate in Hz, and the rows of the samples in a record with holes; all that is said of it has to agree."""
+    """The rate in Hz, and the rows of the samples in a record with gaps; all statements of the rate must agree."""
     said, rows, of_time = columns.rate_hz, None, None
     if said is not None and not (np.isfinite(said) and said > 0):
         raise LogError(f"{path}: a rate of {said:g} Hz; correct rate_hz")

@@ -1,9 +1,9 @@
 """Reads files in binary formats for `formats`: python -m daq.exchange.child FILE OUT.npz CHANNEL...
 
-A process of its own, because compiled parts of the libraries for these formats (asammdf, scipy, h5py) crash on some
-damaged files. OUT gets the columns, their names and units, and the rate or the time. Exit status TOLD (a complete
-sentence) or REFUSED (what the library said): the last line of standard error has it. NO_MEMORY: the memory was not
-enough.
+It is a separate process, because compiled parts of the libraries for these formats (asammdf, scipy, h5py) crash on some
+damaged files. OUT gets the columns, their names and units, and the rate or the time. Exit status UNUSABLE (a
+complete sentence) or REFUSED (the library's message): the last line of standard error has the text. NO_MEMORY: the
+memory was not enough.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import time_unit
-from .leaves import Found, Told, fields_of, of_leaves, same_times
+from .leaves import Found, UnusableError, fields_of, of_leaves, same_times
 
-REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
+REFUSED_STATUS, UNUSABLE_STATUS, NO_MEMORY_STATUS = 4, 5, 6
 MOST_LATE_SAMPLES = 0.25  # between the first samples of channels
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 MOST_SPARSE = 100_000_000  # elements of a sparse matrix that are written out
@@ -37,13 +37,15 @@ def _mf4(path: Path, names: Sequence[str]) -> Found:
     try:
         from asammdf import MDF
     except ImportError as error:
-        raise Told("an MDF file needs asammdf: pip install 'rotorscope[formats]'; or export it to .csv") from error
+        raise UnusableError(
+            "an MDF file needs asammdf: pip install 'rotorscope[formats]'; or export it to .csv"
+        ) from error
     with MDF(path) as file:
         return of_mf4(file, names)
 
 
 def of_mf4(file: Any, names: Sequence[str]) -> Found:
-    """An open file. Raises whatever asammdf does over a damaged one."""
+    """The channels of an open file. Raises what asammdf raises on a damaged one."""
     places, twice = {}, {}
     for name in names:
         group, _, own = name.partition("/")
@@ -70,11 +72,11 @@ def of_mf4(file: Any, names: Sequence[str]) -> Found:
     for n, s in signals.items():
         _over_time(file, n, places[n][1])
         if not same_times(s.timestamps, time):
-            raise Told(f"{n} was not sampled at the same times as {first}; resample them to one time first")
+            raise UnusableError(f"{n} was not sampled at the same times as {first}; resample them to one time first")
     units = {n: s.unit for n, s in signals.items() if s.unit}
     time_name = _time_name(file, first, places[first][1])
-    begun = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
-    started = round(begun * 1e6) * 1000 if begun > OLDEST_S else None
+    start = file.header.start_time.timestamp() + (float(time[0]) if len(time) else 0.0)
+    started = round(start * 1e6) * 1000 if start > OLDEST_S else None
     return Found(
         values={n: _valid(s) for n, s in signals.items()} | others,
         rates=[],
@@ -108,25 +110,27 @@ def _named(file: Any, group: int) -> str:
 
 
 def _over_time(file: Any, name: str, group: int) -> None:
-    """Raise Told if a channel was recorded over something else than time."""
+    """Raise UnusableError if a channel was recorded over something else than time."""
     index = file.masters_db.get(group)
     if index is None:
-        raise Told(f"{name} has no master channel, so that the file does not say when it was sampled; export it anew")
+        raise UnusableError(
+            f"{name} has no master channel, so that the file does not say when it was sampled; export it anew"
+        )
     master = file.groups[group].channels[index]
     kind = getattr(master, "sync_type", TIME_MASTER)
     if kind not in (0, TIME_MASTER):
         over = MASTER_KINDS[kind] if kind < len(MASTER_KINDS) else "something else"
         text = f'{name} was recorded over {over} (master channel "{master.name}"), not over time'
-        raise Told(f"{text}; resample it to time, and export it again")
+        raise UnusableError(f"{text}; resample it to time, and export it again")
 
 
 def _time_name(file: Any, name: str, group: int) -> str:
-    """What to call the time of a group, with its unit: some write ms into a master that should be in s."""
+    """Name of the time of a group, with its unit: some recorders write ms into a master that should be in s."""
     master = file.groups[group].channels[file.masters_db[group]]
     unit = str(getattr(master, "unit", "") or "").strip()
     if isinstance(time_unit("time", unit), str):
         text = f'{name} was recorded over "{master.name}" in {unit}, which is no unit of time'
-        raise Told(f"{text}; resample it to time, and export it again")
+        raise UnusableError(f"{text}; resample it to time, and export it again")
     return f"time [{unit}]" if unit else "time [s]"
 
 
@@ -141,7 +145,7 @@ def _mat(path: Path, names: Sequence[str]) -> Found:
 
 
 def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
-    """What scipy made of it, by name; of structs by the names of their fields, as in MATLAB."""
+    """The channels of what scipy read, by name; in structs by the names of their fields, as in MATLAB."""
     leaves: dict[str, Any] = {}
     for name, value in file.items():
         if not name.startswith("__"):
@@ -151,7 +155,7 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
     opaque = [k for k, v in file.items() if type(v).__name__ == "MatlabOpaque"]
     if opaque and not any(np.size(v) for v in found.values.values()):
         text = f'"{opaque[0]}" is an object (a table, timetable or timeseries), which only MATLAB reads'
-        raise Told(f"{text}; save its columns as plain arrays: x = T.x; save(FILE, 'x', 'fs')")
+        raise UnusableError(f"{text}; save its columns as plain arrays: x = T.x; save(FILE, 'x', 'fs')")
     return found
 
 
@@ -159,7 +163,9 @@ def _hdf5(path: Path, names: Sequence[str], remedy: str = "export it to .csv or 
     try:
         import h5py
     except ImportError as error:
-        raise Told(f"an HDF5 file, which needs h5py: pip install 'rotorscope[formats]'; or {remedy}") from error
+        raise UnusableError(
+            f"an HDF5 file, which needs h5py: pip install 'rotorscope[formats]'; or {remedy}"
+        ) from error
     leaves: dict[str, Any] = {}
 
     def take(name: str, item: Any) -> None:
@@ -180,7 +186,9 @@ def _tdms(path: Path, names: Sequence[str]) -> Found:
     try:
         from nptdms import TdmsFile
     except ImportError as error:
-        raise Told("a TDMS file needs nptdms: pip install 'rotorscope[formats]'; or export it to .csv") from error
+        raise UnusableError(
+            "a TDMS file needs nptdms: pip install 'rotorscope[formats]'; or export it to .csv"
+        ) from error
     with TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         steps = [
@@ -191,17 +199,17 @@ def _tdms(path: Path, names: Sequence[str]) -> Found:
         asked = {n: [p for p in channels if p == n or p.rpartition("/")[2] == n] for n in names if n in found.values}
         of = [c for paths in asked.values() for c in (channels[p] for p in paths[:1])]
         units = {n: str(channels[p[0]].properties.get("unit_string", "")) for n, p in asked.items() if p}
-        begun = [c.properties["wf_start_time"] for c in of if "wf_start_time" in c.properties]
+        start = [c.properties["wf_start_time"] for c in of if "wf_start_time" in c.properties]
         mine = {p for paths in asked.values() for p in paths}
     offsets = [float(c.properties.get("wf_start_offset", 0.0)) for c in of]
-    begun_ns = [int(np.datetime64(b, "ns").astype(np.int64)) for b in begun]
-    apart_s = [(ns - begun_ns[0]) * 1e-9 for ns in begun_ns]
+    start_ns = [int(np.datetime64(b, "ns").astype(np.int64)) for b in start]
+    apart_s = [(ns - start_ns[0]) * 1e-9 for ns in start_ns]
     late = [o + a for o, a in zip(offsets, apart_s or [0.0] * len(offsets), strict=False)]
     least = min((step for p, step in steps if p in mine), default=0.0)
-    if late and (len(begun) not in (0, len(of)) or max(late) - min(late) > MOST_LATE_SAMPLES * least):
-        raise Told(f"its channels begin up to {max(late) - min(late):.6g} s apart; cut them to one start")
+    if late and (len(start) not in (0, len(of)) or max(late) - min(late) > MOST_LATE_SAMPLES * least):
+        raise UnusableError(f"its channels begin up to {max(late) - min(late):.6g} s apart; cut them to one start")
     rates = [(f"wf_increment of {p}", 1.0 / step) for p, step in steps if step > 0 and p in mine]
-    started = begun_ns[0] if begun else found.started
+    started = start_ns[0] if start else found.started
     units = {n: u for n, u in units.items() if u}
     return replace(found, rates=found.rates + rates, units=units, started=started)
 
@@ -222,7 +230,9 @@ def _parquet(path: Path, names: Sequence[str]) -> Found:
     try:  # its own pool and threads take more addresses than a small file is granted
         from pyarrow import parquet
     except ImportError as error:
-        raise Told("a Parquet file needs pyarrow: pip install 'rotorscope[formats]'; or export it to .csv") from error
+        raise UnusableError(
+            "a Parquet file needs pyarrow: pip install 'rotorscope[formats]'; or export it to .csv"
+        ) from error
     file = parquet.ParquetFile(path)
     schema = file.schema_arrow
     wanted = [n for n in schema.names if n in names or time_unit(n) is not None]
@@ -250,7 +260,7 @@ READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Found]] = {
 
 
 def _plain(value: NDArray[Any]) -> NDArray[Any]:
-    """Numbers as they are. Objects do not travel (they would need pickle): only that they are none is told."""
+    """Numbers unchanged. Objects are replaced by a mark that they are no numbers, since they would need pickle."""
     return value if value.dtype.kind in "biufcMm" else np.zeros(value.shape[:1], "S1")
 
 
@@ -260,7 +270,7 @@ def _text(value: Any) -> NDArray[np.uint8]:
 
 
 def answer(found: Found) -> dict[str, NDArray[Any]]:
-    """What travels."""
+    """The arrays that are sent to the parent."""
     about = {
         "units": found.units, "rates": found.rates, "time": found.time_name, "started": found.started, "odd": found.odd,
         "twice": found.twice,
@@ -284,15 +294,15 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def refusal(error: Exception) -> tuple[int, str]:
-    """The exit status, and the last line of standard error. What was being read is let go: it may be all the memory."""
+    """Exit status, and last line of standard error. Releases the data read so far, which may take all the memory."""
     error.__traceback__ = error.__context__ = error.__cause__ = None
     text = " ".join(str(error).split())
     status = NO_MEMORY_STATUS if isinstance(error, MemoryError) else REFUSED_STATUS
-    return TOLD_STATUS if isinstance(error, Told) else status, text or type(error).__name__
+    return UNUSABLE_STATUS if isinstance(error, UnusableError) else status, text or type(error).__name__
 
 
 def _bounded(file_bytes: int) -> None:
-    """Memory is bounded by whoever started us. The last line we say is ours: no library's that goes half-made."""
+    """Bound the CPU time; the parent bounds the memory. A library's destructor must not write the last line."""
     sys.unraisablehook = lambda _: None
     with contextlib.suppress(ImportError):  # not on this system
         import resource

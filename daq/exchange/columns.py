@@ -50,7 +50,7 @@ class Columns:
     kind of channel. full_scale_counts : the value at full scale if the columns are bare counts (PCM audio, 1 for floats
     within +-1), else None. odd : what the user should know of a file that was read all the same. started_ns : Unix time
     of the first row, ns. time_unit_said : the file says the unit of its time. twice : of names that are there several
-    times, what to tell the user.
+    times, the remark for the user.
     """
 
     values: Mapping[str, Column]

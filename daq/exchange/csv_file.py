@@ -24,7 +24,7 @@ CSV_ROWS = 200_000  # parsed at a time
 LONGEST_LINE = 1 << 20  # bytes
 HEAD_LINES = 200  # lines in which a header is looked for
 MINUS_SIGN = "\u2212"  # of typesetting, for the hyphen
-SAMPLE_ROWS = 2000  # rows from which the decimal sign is told
+SAMPLE_ROWS = 2000  # rows by which the decimal sign is recognised
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 _IN_THOUSANDS = re.compile(r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+$")
 _WITH_BOTH_SIGNS = re.compile(r"^[+-]?\d{1,3}(?:[.,]\d{3})*[.,]\d+$")
@@ -38,7 +38,7 @@ _DATE_LINE = re.compile(
 
 @dataclass(slots=True)
 class _Table:
-    """How a text is written. wanted : numbers of the columns that are read; line : that the next row stands in."""
+    """Format of a text. wanted : numbers of the columns that are read; line : that the next row stands in."""
 
     path: Path
     titles: list[str]
@@ -81,7 +81,7 @@ def read_csv(path: Path, names: Sequence[str]) -> Columns:
 
 
 def _encoding(path: Path) -> str:
-    """Of the text, from its first megabyte. Raises LogError for one endless line."""
+    """Encoding of the text, from its first megabyte. Raises LogError for one endless line."""
     with path.open("rb") as file:
         start = file.read(LONGEST_LINE)
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -167,7 +167,7 @@ def _is_row(table: _Table, line: str, names: Sequence[str]) -> bool:
 
 
 def _unit_row(table: _Table, lines: list[str]) -> list[str]:
-    """Take a second row of units off the rows."""
+    """The lines without a row of units below the header, which sets the units of the table."""
     if not lines:
         return lines
     cells = [c.strip("[]() ") for c in _split(lines[0], table.delimiter)]
@@ -181,7 +181,7 @@ def _unit_row(table: _Table, lines: list[str]) -> list[str]:
 
 
 def _without_remarks(table: _Table, lines: list[str]) -> list[str]:
-    """Remarks as empty lines; the date that one may say (as our own exports do) is kept."""
+    """The lines with remarks made empty; a date in a remark (as Rotorscope exports have) is kept."""
     at = [k for k, line in enumerate(lines) if line.startswith("#")]
     if not at:
         return lines
@@ -206,7 +206,7 @@ def _number(text: str) -> bool:
 
 
 def _columns(table: _Table, names: Sequence[str]) -> None:
-    """Which columns are read. Raises LogError if a name is there twice, or the unit of time is not known."""
+    """Choose the columns to read. Raises LogError if a name is there twice, or the unit of time is not known."""
     titles = table.titles
     for k, title in enumerate(titles):
         if title in titles[:k] and title:
@@ -224,7 +224,7 @@ def _columns(table: _Table, names: Sequence[str]) -> None:
 
 
 def _signs(table: _Table, lines: list[str]) -> None:
-    """Decimal sign and thousands separator, from the first rows."""
+    """Find decimal sign and thousands separator from the first rows."""
     table.quoted = any('"' in line for line in lines)
     if table.delimiter == "," and not table.quoted:
         return
@@ -246,7 +246,7 @@ def _signs(table: _Table, lines: list[str]) -> None:
 
 
 def _stamped(table: _Table, lines: list[str]) -> None:
-    """Where no column has a name of time: one of time stamps that go on is it, whatever its name."""
+    """Find the time column by its increasing time stamps, where no column has a name of time."""
     rows = [row for row in _rows(table, lines) if row and not row[0].startswith("#")][:2]
     if table.time is not None or len(rows) < 2:
         return
@@ -261,7 +261,7 @@ def _stamped(table: _Table, lines: list[str]) -> None:
 
 
 def _rows(table: _Table, lines: list[str]) -> list[list[str]]:
-    """The cells of each line; none of an empty one or a remark."""
+    """The cells of each line; none for an empty line or a remark."""
     if table.quoted:
         return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=table.delimiter)]
     strip, delimiter = str.strip, table.delimiter
@@ -309,7 +309,7 @@ def _numbers(table: _Table, rows: list[list[str]]) -> NDArray[np.float64]:
 
 
 def _mistake(table: _Table, rows: list[list[str]]) -> LogError | None:
-    """The first line that is no row of numbers, and what to do."""
+    """Error about the first line that is no row of numbers, with a remedy."""
     width = len(table.titles)
     for k, row in enumerate(rows):
         if not row:

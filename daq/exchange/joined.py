@@ -19,7 +19,7 @@ UNKNOWN_GAP = 1  # samples between files that say no date
 def joined(files: Sequence[tuple[Path, Record]], note: Callable[[str], None]) -> Record:
     """One record of several files. Raises LogError if their rates differ or their times overlap.
 
-    note : told where a gap is of unknown length.
+    note : called where the length of a gap is unknown.
     """
     path, first = files[0]
     for other, record in files[1:]:

@@ -1,4 +1,4 @@
-"""What lies in files of structs, groups and attributes, by path: samples, and what is said of them beside them."""
+"""Content of files of structs, groups and attributes by path: samples, and their units, rates and dates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from .columns import START_NAMES, plain, stated_rate, time_unit
 
 SAME_TIME_SHARE = 1e-3  # of a sample: times that differ by less are the same
 MOST_LEVELS = 8  # of structs in structs
-OF_SAMPLES = frozenset(("data", "values", "value", "signals"))  # names of a channel's samples in a struct of its own
+OF_SAMPLES = frozenset(
+    ("data", "values", "value", "signals")
+)  # names of a channel's samples in a struct for one channel
 UNIT_NAMES = ("unit", "units")
 SCALE_NAMES = frozenset(
     ("gain", "scale", "scaling", "calibration", "calibrationfactor", "calfactor", "sensitivity", "multiplier", "slope")
@@ -26,17 +28,17 @@ _PART_OF = re.compile(r"^(.+)\((:|\d+),\s*(:|\d+)\)$")  # "data(:,2)" or "data(2
 _SINCE_DATE = re.compile(r"^\s*(\w+)\s+since\s+(\S.*)$", re.IGNORECASE)  # units of time of netCDF
 
 
-class Told(ValueError):
+class UnusableError(ValueError):
     """Why the file cannot be used, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a file holds.
+    """Content of a file.
 
     values : of the channels asked for; others are there by name only. rates : names and numbers of what says a rate.
-    time : by the name `time_name`. started : Unix time in ns, or a date as text. twice : of names that are there
-    several times, what to say. odd : what the user should know.
+    time : by the name `time_name`. started : Unix time in ns, or a date as text. twice : remark on each
+    name that is there several times. odd : remarks for the user.
     """
 
     values: dict[str, NDArray[Any]]
@@ -86,7 +88,9 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
     started = next(iter(starts.values()), None)
     own_starts = [starts.get(_beneath(starts, path, separator) or "") for path in paths]
     if len(set(own_starts)) > 1:
-        raise Told(f"its channels begin at different times ({', '.join(map(str, own_starts[:4]))}); cut them to one")
+        raise UnusableError(
+            f"its channels begin at different times ({', '.join(map(str, own_starts[:4]))}); cut them to one"
+        )
     others = {p: np.empty(0) for p, v in leaves.items() if p not in paths and p not in times and np.ndim(v) >= 1}
     values, units, odd = {}, {}, []
     for name, (value, path) in picked.items():
@@ -104,7 +108,9 @@ def of_leaves(leaves: Mapping[str, Any], names: Sequence[str], separator: str) -
         at = next(iter(of.values()), times[0])
         for name, other in of.items():
             if other != at and not same_times(np.asarray(near[other]), np.asarray(near[at])):
-                raise Told(f"{name} has times of its own ({other}), others than {at}; resample them to one time first")
+                raise UnusableError(
+                    f"{name} has times of its own ({other}), others than {at}; resample them to one time first"
+                )
         time, time_name = np.asarray(near[at]), ends_of[at]
         about = _about(leaves, at, separator)
         unit = text_of(about.get("unit", about.get("units"))) or ""
@@ -163,7 +169,7 @@ def part_of(leaves: Mapping[str, Any], name: str) -> tuple[NDArray[Any], str] | 
 
 
 def same_times(one: NDArray[Any], other: NDArray[Any]) -> bool:
-    """Whether two vectors of times say the same of samples."""
+    """Whether two vectors of times are equal but for rounding."""
     if one.shape != other.shape or one.dtype.kind not in "iuf" or other.dtype.kind not in "iuf" or one.ndim != 1:
         return bool(np.array_equal(one, other))
     step = float(np.median(np.diff(one))) if one.size > 1 else 0.0
@@ -171,7 +177,7 @@ def same_times(one: NDArray[Any], other: NDArray[Any]) -> bool:
 
 
 def _about(leaves: Mapping[str, Any], path: str, separator: str) -> dict[str, Any]:
-    """What is said of samples: under their path, or beside them in a struct of theirs; by plain names."""
+    """Attributes of samples, by plain names: those under their path, or beside them in a struct for one channel."""
     home, _, end = path.rpartition(separator)
     homes = [path, home] if home and plain(end) in OF_SAMPLES else [path]
     return {plain(p.rpartition(separator)[2]): v for p, v in leaves.items() if p.rpartition(separator)[0] in homes}
@@ -206,7 +212,7 @@ def _end(path: str, separator: str) -> str:
 
 
 def _beside(home: str, homes: set[str], separator: str) -> bool:
-    """Whether what lies there speaks of the channels: in the same place, or above."""
+    """Whether an entry applies to the channels: it lies in the same place, or above."""
     return not home or any(h == home or h.startswith(home + separator) for h in homes)
 
 

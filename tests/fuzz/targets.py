@@ -389,7 +389,9 @@ def _answered(path: Path, names: Sequence[str]) -> Columns:
     """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
     data, out = path.read_bytes(), path.with_suffix(".npz")
     status = (
-        (0, 0, 0, child.REFUSED_STATUS, child.TOLD_STATUS, child.NO_MEMORY_STATUS, 1, -11)[data[0] % 8] if data else 0
+        (0, 0, 0, child.REFUSED_STATUS, child.UNUSABLE_STATUS, child.NO_MEMORY_STATUS, 1, -11)[data[0] % 8]
+        if data
+        else 0
     )
     out.write_bytes(data[1:])
     return formats.answered(path, out, status, data[1:].decode("utf-8", "replace"))

@@ -62,7 +62,7 @@ def read(path: Path, of: Rig | None = None, said: list[str] | None = None) -> Re
     aliases = {c.name: c.alias for c in of.file.channel if c.alias}
     try:
         found = reader(path, ["x", "y", *aliases.values()])
-    except child.Told as error:
+    except child.UnusableError as error:
         raise LogError(f"{path}: {error}") from error
     columns = by_channel(of_answer(path, child.answer(found)), aliases)
     return checked(path, columns, of, None, note)
@@ -186,7 +186,7 @@ def test_mf4_masters_say_their_unit(tmp_path: Path) -> None:
         assert record.rate_hz == pytest.approx(RATE_HZ)
     with MDF(path) as file:
         file.groups[0].channels[0].unit = "deg"
-        with pytest.raises(child.Told, match='x was recorded over "time" in deg, which is no unit of time'):
+        with pytest.raises(child.UnusableError, match='x was recorded over "time" in deg, which is no unit of time'):
             child.of_mf4(file, ["x", "y"])
 
 
