@@ -1,4 +1,4 @@
-"""What a computation needs, loaded while the log is read and filtered: the interpreter waits then."""
+"""Loads the modules of a computation while the log is read and filtered, because the interpreter waits then."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from threading import Thread
 def loaded(modules: Sequence[str]) -> None:
     """Begin to import modules, and what numba needs to run what it has compiled: 0.7 s of interpreter for compare.
 
-    Whoever imports one meanwhile waits for it, and whatever fails here fails again there, where it is told. A command
-    that ends at once waits too: a thread that is cut off in the middle of a library may take the process down.
+    An import of the same module waits meanwhile. An import that fails here fails again there, where it is reported. A
+    command that ends at once waits too, because a thread that ends in the middle of a library may crash the process.
     """
     Thread(target=_load, args=(tuple(modules),)).start()
 

@@ -1,4 +1,4 @@
-"""What a command says: tables for people, JSON for programs, progress on a terminal only."""
+"""Output of a command: tables for people, JSON for programs, progress on a terminal only."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 PIPE_WIDTH = 160
 MIN_WIDTH, MAX_WIDTH = 20, 10_000  # columns that may be asked for
-REDRAW_S = 0.5  # so that the time goes on where nothing is told
+REDRAW_S = 0.5  # so that the time goes on between two calls
 CONTROL_CHARACTERS = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
-# whoever read what we say has left: the pipe is closed, the terminal hung up
+# the reader of the output has left: the pipe is closed, the terminal hung up
 READER_GONE_ERRNOS = (errno.EPIPE, errno.EIO)
 
 
@@ -42,7 +42,7 @@ def version() -> str:
 
 
 class Progress(Protocol):
-    """Told the share that is done, 0 to 1, and perhaps what is being done now."""
+    """Called with the share that is done, 0 to 1, and optionally the present step."""
 
     def __call__(self, done: float, what: str = "", /) -> None: ...
 
@@ -53,7 +53,7 @@ def quiet_progress(done: float, what: str = "", /) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """json : where the result goes as JSON, "-" for standard output (then nothing else goes there)."""
+    """Output of one command. json : path of the JSON result, "-" for standard output (then nothing else goes there)."""
 
     json: str | None = None
     quiet: bool = False
@@ -72,17 +72,17 @@ class Output:
         return _console(stderr=True, soft_wrap=True, highlight=False)
 
     def prepare(self) -> None:
-        """Import what a result is said with: not at the stop of a session."""
+        """Import the libraries for a result early, not at the stop of a session."""
         if not self.quiet and self.json != "-":
             _ = self.to_stdout
 
     def say(self, *parts: RenderableType) -> None:
-        """For people, on standard output; on standard error if JSON goes there."""
+        """Print for people on standard output, or on standard error if JSON goes to standard output."""
         if self.quiet:
             return
         console = self.to_stderr if self.json == "-" else self.to_stdout
         wrapped = self.json != "-" and (sys.stdout.isatty() or asked_width() is not None)  # at words
-        with unheard(sys.stderr if self.json == "-" else sys.stdout):
+        with ignoring_no_reader(sys.stderr if self.json == "-" else sys.stdout):
             for part in parts:
                 if isinstance(part, str):
                     console.print(part, markup=False, emoji=False, soft_wrap=not wrapped)
@@ -90,13 +90,13 @@ class Output:
                     console.print(part)
 
     def note(self, text: str) -> None:
-        """Something the user should know that is not the result, on standard error."""
+        """Print a remark that is not the result on standard error."""
         if not self.quiet:
-            tell(text)
+            print_note(text)
 
     def detail(self, text: str) -> None:
         if self.verbose:
-            tell(text)
+            print_note(text)
 
     def result(self, value: dict[str, Any], *people: RenderableType) -> None:
         """The result of the command, once: for people, and as JSON if that was asked for."""
@@ -107,7 +107,7 @@ class Output:
         value = ({"version": version()} | value) if "schema" in value else value
         text = json.dumps(finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         if self.json == "-":
-            with unheard(sys.stdout):
+            with ignoring_no_reader(sys.stdout):
                 sys.stdout.write(text)
                 sys.stdout.flush()
         else:
@@ -123,46 +123,46 @@ class Output:
         from rich.progress import Progress as Bar
 
         columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-        # Without a thread of its own: the estimator works in two processes where this one has one thread.
+        # Without a separate thread: the estimator uses two processes only where this one has one thread.
         with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True, auto_refresh=False) as bar:
             task = bar.add_task(what, total=None)
             bar.refresh()
 
-            def told(done: float, now: str = "", /) -> None:
+            def update(done: float, now: str = "", /) -> None:
                 text = f"{what}: {now}" if now else what
                 bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text, refresh=True)
 
             with ticking(REDRAW_S, bar.refresh):
-                yield told
+                yield update
 
 
 def pipe_width() -> int:
-    """Columns of a pipe or a file: what COLUMNS asks for, else PIPE_WIDTH."""
+    """Columns of a pipe or a file: the value of COLUMNS, else PIPE_WIDTH."""
     return asked_width() or PIPE_WIDTH
 
 
 def asked_width() -> int | None:
-    """What COLUMNS asks for; None where it asks for nothing that can be."""
+    """The value of COLUMNS; None if it is not set or out of range."""
     asked = os.environ.get("COLUMNS", "")
     return int(asked) if asked.isdigit() and MIN_WIDTH <= int(asked) <= MAX_WIDTH else None
 
 
-def tell(text: str) -> None:
-    """A line on standard error. That it cannot be said (a terminal that is gone, a full disk) is no reason to stop."""
+def print_note(text: str) -> None:
+    """Print a line on standard error. A failure to print (no terminal, a full disk) is ignored."""
     with contextlib.suppress(OSError):
         print(f"rotorscope: {text}".translate(CONTROL_CHARACTERS), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def to_nowhere(stream: TextIO) -> None:
-    """Let a stream lead nowhere from now on, what is in its buffer included."""
+    """Discard all further output to a stream, including its buffer."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
 
 
 @contextlib.contextmanager
-def unheard(stream: TextIO) -> Iterator[None]:
-    """What is said to a pipe or a terminal that is gone goes nowhere from then on; the command goes on."""
+def ignoring_no_reader(stream: TextIO) -> Iterator[None]:
+    """Discard output to a pipe or terminal that is gone; the command goes on."""
     try:
         yield
     except OSError as error:
@@ -172,7 +172,7 @@ def unheard(stream: TextIO) -> Iterator[None]:
 
 
 def _console(**options: Any) -> Console:
-    """What devices, files and their names say cannot command the terminal."""
+    """A console to which texts of devices and files cannot send control characters."""
     from rich.console import Console
     from rich.segment import Segment
 

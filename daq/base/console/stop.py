@@ -17,15 +17,15 @@ STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SI
 class Stop:
     """`event` is set by the first signal; a second Ctrl-C interrupts at once. A context manager, main thread only.
 
-    A thread sets it: a handler that did would wait for ever for the event's own lock if the signal came while the main
-    thread, in `wait`, held that. What the handler calls instead may be entered again.
+    A thread sets the event. A signal handler would wait for ever for the event's lock if the main thread held it in
+    `wait`. The queue that the handler uses instead is reentrant.
     """
 
     def __init__(self) -> None:
         self.event = threading.Event()
         self.interrupted = False
         self._came = False
-        self._told: SimpleQueue[bool] = SimpleQueue()
+        self._requests: SimpleQueue[bool] = SimpleQueue()
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Stop:
@@ -40,28 +40,28 @@ class Stop:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        self._told.put(False)
+        self._requests.put(False)
         self._setter.join()
 
     def _set(self) -> None:
-        while self._told.get():
+        while self._requests.get():
             self.event.set()
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         again, self._came = self._came, True
-        self._told.put(True)
+        self._requests.put(True)
         if number == signal.SIGINT:
             self.interrupted = True
             if again:
                 raise KeyboardInterrupt
 
 
-_asked = False  # to end, whatever became of the KeyboardInterrupt
+_asked = False  # a stop was requested, even if the KeyboardInterrupt was lost
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:
-    """SIGINT's handler until a command has one of its own: Python's, and remembered. Python swallows what it raises in
-    a callback (importlib's), pydantic while it builds a class, or makes an error of another type of it.
+    """Handle SIGINT as Python does until a command sets a handler, and remember it. A KeyboardInterrupt may be lost:
+    Python swallows it in a callback (importlib's), pydantic swallows or replaces it while it builds a class.
     """
     global _asked
     _asked = True
@@ -69,7 +69,7 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def asked() -> bool:
-    """Whether this program was interrupted, also where what that raised was swallowed."""
+    """Whether this program was interrupted, even if the KeyboardInterrupt was swallowed."""
     return _asked
 
 
@@ -102,7 +102,7 @@ def all_or_nothing() -> Iterator[None]:
 
 
 def go_on() -> None:
-    """Before a file or an acquisition is begun. Raises the KeyboardInterrupt that was swallowed."""
+    """Check for a stop before a file or an acquisition is started. Raises the KeyboardInterrupt that was swallowed."""
     if _asked and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
@@ -112,7 +112,7 @@ def unbroken() -> Iterator[None]:
     """A signal that comes within acts at the end: whatever is made is by then known to those who clear it away."""
     before: dict[int, Any] = {}
     came: list[int] = []
-    main = threading.current_thread() is threading.main_thread()  # no other is interrupted
+    main = threading.current_thread() is threading.main_thread()  # signals interrupt no other thread
     try:
         for number in STOP_SIGNALS if main else ():
             before[number] = signal.getsignal(number)

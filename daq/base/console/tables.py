@@ -12,7 +12,7 @@ from .fitting import FittingTable
 
 
 def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, float] | None = None) -> FittingTable:
-    """coefficient, value, unit, standard error, relative error, and why not where the data cannot tell."""
+    """coefficient, value, unit, standard error, relative error, and the reason where a value is not identifiable."""
     headings = ["coefficient", "value", "std. error", "%", "unit", *([] if truth is None else ["truth", "off by"])]
     rows, remarks = [], []
     for name, p in parameters.items():

@@ -14,7 +14,7 @@ from .sink import ClockState
 
 
 class Clock(Protocol):
-    """Where every time in the service comes from; tests bring their own."""
+    """Source of every time in the service; tests use their own."""
 
     def now_ns(self) -> int:
         """Host monotonic time."""
@@ -26,7 +26,7 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The operating system's."""
+    """The clocks of the operating system."""
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
@@ -43,23 +43,22 @@ LATEST_NS = 2**63 - 1
 WINDOW_S = 0.25
 MAX_WINDOWS = 240  # one minute of them
 MIN_WINDOWS = 8  # two seconds of them
-TRANSIT_S = 1e-3  # the least time from a frame's last sample to our stamp, beyond the frame's own length on the wire
+TRANSIT_S = 1e-3  # the least time from a frame's last sample to the stamp, beyond the frame's length on the wire
 SLOPE_Z = 3.3  # 99.9 % of the slope's interval
 REAL_TIME = 0.2  # a device whose seconds last longer or shorter by more does not run in real time
 MAX_CRYSTAL_ERROR_REL = 1e-3  # a rate that differs by more is no crystal's error
 RATE_WINDOWS = 80  # windows: 20 s
-MAX_SCATTER_SHARE = 0.05  # of the whole drift: what was held up or comes out of a buffer does not lie on one line
+MAX_SCATTER_SHARE = 0.05  # of the whole drift: samples that were held up or buffered do not lie on one line
 
 
 class DeviceClock:
     """Host time of a device's sample index, from arrival stamps that are always late, often by milliseconds.
 
     Only the earliest arrival of each 0.25 s counts. The slope is the Theil-Sen estimate through these minima of the
-    last minute, with Sen's rank interval; the line is pushed down onto the earliest of them. What no arrival can tell
-    is how late the earliest was: between nothing and the length of one block on the wire plus 1 ms. The line goes
-    through the middle of that range, and `bound_ns` adds up: half the range, how far the minima scatter, and what the
-    slope's interval makes of it at either end of the minute. True from the oldest minimum until a second after the
-    newest.
+    last minute, with Sen's rank interval; the line is shifted down to the earliest of them. No arrival shows how late
+    the earliest was: between zero and the length of one block on the wire plus 1 ms. The line goes through the middle
+    of that range. `bound_ns` is the sum of half the range, the scatter of the minima, and the effect of the slope's
+    interval at either end of the minute. The mapping holds from the oldest minimum until a second after the newest.
 
     Reference: P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379, section 3, for slope and interval.
     """
@@ -69,7 +68,7 @@ class DeviceClock:
         self.restart()
 
     def restart(self) -> None:
-        """Forget: the device or the link began anew, and index and time no longer go together as before."""
+        """Restart: the device or the link began anew, and the mapping from index to time changed."""
         self._origin: tuple[int, int] | None = None
         self._minima: deque[tuple[float, float, int]] = deque(maxlen=MAX_WINDOWS)  # s on the index axis, s late, rows
         self._window = -1
@@ -116,9 +115,9 @@ class DeviceClock:
         return ClockState(at_zero_ns, rate_hz, (rate_hz / self.rate_hz - 1.0) * 1e6, round(bound * 1e9))
 
     def true_rate_hz(self) -> float | None:
-        """The rate on the host's clock, where it certainly is not the one that the device states; else None.
+        """The rate on the host's clock, if it certainly differs from the rate that the device states; else None.
 
-        Known after 20 s. Not of samples that come faster than time by more than a fifth: those were waiting somewhere.
+        Known after 20 s. None for samples that come faster than real time by more than a fifth, out of a buffer.
         """
         if len(self._minima) < RATE_WINDOWS:
             return None

@@ -16,7 +16,7 @@ LONGEST_S = 1e12  # longer than any record
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """What of a record is read.
+    """The part of a record that is read.
 
     from_s, to_s : s from the start of the record; the sample at `to_s` is not read. None: from the start, to the end.
     from_ns, to_ns : Unix time instead, ns.
@@ -52,7 +52,7 @@ class Part:
 
     @property
     def of_time(self) -> bool:
-        """Whether it leaves out anything by time."""
+        """Whether the part leaves out anything by time."""
         return any(t is not None for t in (self.from_s, self.to_s, self.from_ns, self.to_ns, self.seconds))
 
     @property
@@ -70,17 +70,17 @@ class Part:
         """
         if self.dated and started_ns is None:
             raise ConfigError(f"{where}: says no date; give times in seconds from its start")
-        begun = started_ns or 0
+        start_ns = started_ns or 0
         start = self.from_s or 0.0
         if self.from_ns is not None:
-            start = (self.from_ns - begun) / 1e9
+            start = (self.from_ns - start_ns) / 1e9
         stop = math.inf if self.to_s is None else self.to_s
         if self.to_ns is not None:
-            stop = (self.to_ns - begun) / 1e9
+            stop = (self.to_ns - start_ns) / 1e9
         if self.seconds is not None:
             stop = start + self.seconds
         if stop <= 0:
-            raise ConfigError(f"{where}: begins at {utc_text(begun)}: the part lies before it")
+            raise ConfigError(f"{where}: begins at {utc_text(start_ns)}: the part lies before it")
         if start >= stop:
             raise ConfigError(f"{where}: the part ends {stop:.6g} s after the start of the record, where it begins")
         return max(start, 0.0), stop
@@ -107,7 +107,7 @@ WHOLE_RECORD = Part()
 
 
 def beyond(where: object, seconds: float) -> ConfigError:
-    """The part begins behind the end of the record."""
+    """Error: the part begins behind the end of the record."""
     return ConfigError(f"{where}: is {seconds:.6g} s long; there is nothing from --from on: give less")
 
 

@@ -14,7 +14,7 @@ from estimator.results import Estimate
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What a sink is told before the first sample.
+    """Facts of a session that a sink gets before the first sample.
 
     model : of the rig, SI.
     info : first description of the device.
@@ -75,8 +75,8 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SinkHealth:
-    """How a sink with a thread of its own is doing. dropped : samples not taken so far; notices : new ones; pending :
-    it was asked something, and what it will say is worth waiting for at the end of a session."""
+    """State of a sink with a separate thread. dropped : samples not taken so far; notices : new ones; pending : an
+    answer of the sink is under way, for which the end of a session waits."""
 
     lag_s: float
     dropped: int
@@ -94,6 +94,6 @@ class SinkHealth:
 
 @runtime_checkable
 class Reporting(Protocol):
-    """What a sink with a thread of its own has besides the methods of `Sink`; asked from the core loop, often."""
+    """Further methods of a sink with a separate thread; called often from the core loop."""
 
     def health(self) -> SinkHealth: ...

@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 # our matrices are small: a threaded BLAS only makes threads wait (diagnose on a busy machine: 4 times)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from daq.base.console.output import tell, to_nowhere  # noqa: E402
+from daq.base.console.output import print_note, to_nowhere  # noqa: E402
 from daq.base.console.stop import asked  # noqa: E402
 from daq.base.contract.errors import exit_status  # noqa: E402
 
@@ -142,5 +142,5 @@ def _failed(text: str, status: int, verbose: bool) -> int:
     if verbose:
         traceback.print_exc()
     for line in text.splitlines() or [""]:
-        tell(line)
+        print_note(line)
     return status
