@@ -42,7 +42,7 @@ STATES_BY_PRIORITY = ("displacement", "velocity", "shaft_angle", "other_directio
 def new_figure(
     width: float, height: float, rows: int = 1, columns: int = 1, fixed: bool = True, **more: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Inches. fixed : a grid has the margins above; to fit them to the numbers takes as long as to draw it."""
+    """A figure; sizes in inches. fixed : use the margins above, because fitting them takes as long as drawing."""
     from matplotlib.figure import Figure
 
     fixed = fixed and rows * columns > 1
@@ -80,7 +80,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Names are names: a dollar sign starts no formula."""
+    """The text without formulas: a dollar sign starts none."""
     return str(text).replace("$", r"\$")
 
 
@@ -218,7 +218,7 @@ def resonances(f: Array, model: Array) -> list[float]:
 
 
 def densities(after: Json, before: Json, distance: Json) -> str | None:
-    """Probability density of the displacement in the analysis band, logarithmic: the tails tell the law."""
+    """Probability density of the displacement in the analysis band, logarithmic: the tails show the law."""
     if not after:
         return None
     figure, axes = grid_of(list(after))

@@ -18,9 +18,14 @@ def lines(diagnosis: Json, units: Mapping[str, str]) -> list[tuple[str, str]]:
     diagnosis : as JSON. units : channel -> SI unit.
     """
     out = []
-    for name, told in (("record", _record), ("machine", _machine), ("structure", _structure), ("bearing", _bearing)):
+    for name, lines_of in (
+        ("record", _record),
+        ("machine", _machine),
+        ("structure", _structure),
+        ("bearing", _bearing),
+    ):
         if diagnosis.get(name):
-            texts = told(diagnosis[name], units)
+            texts = lines_of(diagnosis[name], units)
             out += [(name if not k else "", text) for k, text in enumerate(texts)]
     return out
 

@@ -51,7 +51,7 @@ class FewAtATime(ThreadingMixIn, WSGIServer):
                 self._changed.notify_all()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that went away is nothing to tell the operator."""
+        """Report nothing when a client goes away."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 

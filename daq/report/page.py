@@ -15,7 +15,7 @@ signal
     spectra : {channel: {frequency_hz, psd, unit, marks: [[Hz, label]]}}, measured; envelopes : the squared envelope in
         `band_hz`, its PSD with marks at the defect frequencies; modes : as in a diagnosis
 diagnosis
-    shape : with band_low, band_high; separates : text, what tells the verdict from the runner-up; messages : [text]
+    shape : with band_low, band_high; separates : text, what separates the verdict from the runner-up; messages : [text]
 """
 
 from __future__ import annotations

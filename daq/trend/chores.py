@@ -10,7 +10,7 @@ MAX_CHORES = 1000  # that wait; the disk has stalled by then
 
 
 class Chores:
-    """Does what it is given, in order. A chore that fails is told to `failed` and does not end the thread."""
+    """Does chores in order. A chore that fails is reported to `failed` and does not end the thread."""
 
     def __init__(self, name: str, failed: Callable[[Exception], None], most: int = MAX_CHORES) -> None:
         self._failed = failed

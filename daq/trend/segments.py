@@ -122,10 +122,10 @@ class SegmentedLog:
             health = part.writer.health()
             self._notices.extend(health.notices)
             lag_s, dropped = max(lag_s, health.lag_s), dropped + health.dropped
-        told = []
+        notices = []
         while self._notices:
-            told.append(self._notices.popleft())
-        return SinkHealth(lag_s, dropped, tuple(told))
+            notices.append(self._notices.popleft())
+        return SinkHealth(lag_s, dropped, tuple(notices))
 
     def close(self) -> None:
         self._end_part()

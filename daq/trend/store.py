@@ -53,7 +53,7 @@ class TrendStore:
         self._layers: deque[tuple[int, Json]] = deque(maxlen=1000)
         self._lost: Counter[str] = Counter()
         self._rows: list[Row] = []
-        self._limits: MachineClass | None = None  # not told yet
+        self._limits: MachineClass | None = None  # not known yet
         self._chores = Chores("trend", self._failed)
 
     def start(self, session: Session) -> None:

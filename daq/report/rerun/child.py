@@ -1,4 +1,4 @@
-"""The process that talks to Rerun, so that a viewer that hangs or dies hangs or kills nothing else.
+"""A separate process for Rerun, so that a viewer that hangs or dies stops nothing else.
 
 Started by process.py as `python -m daq.report.rerun.child TARGET`. Takes pickled batches from its parent on standard
 input, answers each with a line: "+" (shown, and the viewer took it) or "! why". A RecordingStream connected to a
@@ -47,7 +47,7 @@ def main(target: str, source: BinaryIO, answers: BinaryIO) -> int:
         with watchdog():
             for item in batch:
                 view.take(item)
-            recording.flush(timeout_sec=FLUSH_S)  # raises when the viewer has gone: nothing else tells
+            recording.flush(timeout_sec=FLUSH_S)  # raises when the viewer has gone; nothing else shows it
         answer(answers, "+")
     with watchdog():
         view.close()
@@ -78,7 +78,7 @@ if __name__ == "__main__":
     os.dup2(2, 1)  # what native code prints is not an answer
     try:
         sys.exit(main(sys.argv[1], sys.stdin.buffer, replies))
-    except Exception as problem:  # the parent is told, counts and tries again
+    except Exception as problem:  # the parent gets the text, counts and tries again
         with contextlib.suppress(OSError):
             answer(replies, f"! {type(problem).__name__}: {problem}")
         sys.exit(1)

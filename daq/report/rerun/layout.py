@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 DEVICE_TIME, HOST_TIME = "device_time", "host_time"
 LINEAR_PARAMETERS = ("kL", "c", "m", "S")
-MOST_APART = 6  # waveforms with a plot of their own
+MOST_APART = 6  # waveforms with a plot each
 WINDOW_S = 10.0  # of the rolling waveform view; zoom out for the rest
-# Okabe and Ito's colours, told apart with every common colour vision, on dark and on light ground.
+# Okabe and Ito's colours, distinct with every common colour vision, on dark and on light ground.
 PLOT_COLOURS = (
     (86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0),
     (240, 228, 66), (0, 114, 178), (150, 150, 150),

@@ -1,4 +1,4 @@
-"""The Rerun sink: a bounded queue, and a thread that keeps a drawing process fed, whatever becomes of the viewer.
+"""The Rerun sink: a bounded queue, and a thread that feeds a drawing process, also when the viewer fails.
 
 The core loop only appends to the queue (microseconds). Overflow policy: the oldest goes first, and is counted. The
 thread starts the drawing process (child.py) when the viewer can be reached, and again when it comes back.
@@ -36,7 +36,7 @@ class RerunSink:
     wall_offset_ns : Unix time minus the monotonic time of the readings; None: this host's, now.
     live : False for a replay or a capture, which waits for the viewer rather than lose anything (while there is one).
     viewer_port : of the viewer that "spawn" starts.
-    dropped : samples that the viewer will never show. `health` tells when a viewer is lost and when it is back.
+    dropped : samples that the viewer will never show. `health` reports when a viewer is lost and when it is back.
     Raises ConfigError for a target that is none of these.
     """
 
@@ -93,7 +93,7 @@ class RerunSink:
         return SinkHealth((time.monotonic_ns() - oldest) / 1e9 if oldest is not None else 0.0, self.dropped, notices)
 
     def close(self) -> None:
-        """Hand over what is queued, for as long as the viewer takes it; then end. Idempotent."""
+        """Hand over the queue as long as the viewer takes it, then end. Idempotent."""
         if self._thread is None:
             return
         self._closing.set()
@@ -144,12 +144,12 @@ class RerunSink:
             try:
                 self._process = ViewerProcess(self._reach())
                 self._process.start(self._session)
-                self._tell(None)
+                self._report(None)
                 pause = RETRY_S[0]
                 self._feed(self._process)
                 return
             except OSError as problem:
-                self._tell(str(problem))
+                self._report(str(problem))
             finally:
                 if self._process is not None:
                     self._process.close()
@@ -161,8 +161,8 @@ class RerunSink:
                 return
             pause = min(2 * pause, longest)
 
-    def _tell(self, problem: str | None) -> None:
-        """A notice when the viewer is lost and when it is back, not for every attempt between."""
+    def _report(self, problem: str | None) -> None:
+        """Add a notice when the viewer is lost and when it is back, not for every attempt between."""
         known, self._problem = self._problem, problem
         if (known is None) == (problem is None):
             return
@@ -215,7 +215,7 @@ def samples(item: Item) -> int:
 
 
 def view_session(session: Session, wall_ns: int) -> ViewSession:
-    """What the drawing process needs to know, as plain data."""
+    """Facts of the session for the drawing process, as plain data."""
     model, names = session.model, [s.name for s in session.info.signals]
     channels = {c.name: (c.place, c.kind) for c in model.channels}
     if len(names) == len(channels) and not set(channels) <= set(names):  # the device's own names: taken in order

@@ -1,6 +1,6 @@
 """A session drawn in a Rerun recording: readings, estimates and status in, entities on two time lines out.
 
-Knows nothing of queues, files or viewers; the recording stream may be anything, and whoever calls may be blocked.
+It knows nothing of queues, files or viewers. The recording stream may be anything, and may block the caller.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ WORD_OF_LEVEL = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewSession:
-    """What the view is told first. places : channel -> ("bearing1.x", kind); wall_ns : wall minus monotonic clock."""
+    """Facts for the view. places : channel -> ("bearing1.x", kind); wall_ns : wall minus monotonic clock."""
 
     name: str
     recording_id: str
@@ -62,7 +62,7 @@ class RerunView:
         self._kinds: dict[str, str] = {}  # of parameters, for the layout
         self._missing_force = False
         self._force_colours: dict[str, int] = {}
-        self._sure: set[str] = set()  # effects that the estimator was certain of at some time
+        self._sure: set[str] = set()  # effects of which the estimator was certain at some time
         self._states: dict[str, str] = {}
         self._begin(session.info)
         self._to.send_recording_name(session.name)
@@ -77,7 +77,7 @@ class RerunView:
         self._state("link", "waiting")
 
     def take(self, item: Reading | Estimate | Status) -> None:
-        """Draw one thing. Block and Gap in the order of their indices."""
+        """Draw one item. Block and Gap come in the order of their indices."""
         match item:
             case Block():
                 self._block(item)
@@ -247,7 +247,7 @@ class RerunView:
             self._lay_out()
 
     def _series_colour(self, name: str) -> tuple[int, int, int]:
-        """Of a line of the missing force: the same for a name all along."""
+        """Colour of a line of the missing force; a name keeps its colour."""
         return colour(self._force_colours.setdefault(name, len(self._force_colours)))
 
     def _tint(self, place: str) -> tuple[int, int, int]:

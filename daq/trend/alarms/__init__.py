@@ -1,1 +1,1 @@
-"""Alarms: what is watched, when a change is one, who is told."""
+"""Alarms: watched values, the rules for an alarm, and its listeners."""

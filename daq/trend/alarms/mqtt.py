@@ -1,4 +1,4 @@
-"""Alarms to an MQTT broker: one retained JSON message for each alarm, so that whoever comes later knows its state."""
+"""Alarms to an MQTT broker: one retained JSON message for each alarm, so that a later subscriber knows its state."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from .watch import AlarmState
 
 PASSWORD_VARIABLE = "ROTORSCOPE_MQTT_PASSWORD"  # noqa: S105
 MQTT_PORT, MQTTS_PORT = 1883, 8883
-KEEPALIVE_S = 30  # a broker knows within one and a half of these that we are gone
+KEEPALIVE_S = 30  # a broker notices a lost client within one and a half of these
 RECONNECT_S = (1, 60)  # first and longest wait
-MAX_QUEUED = 1000  # messages that wait for a broker; the states are told anew at each connection
+MAX_QUEUED = 1000  # messages that wait for a broker; the states are published anew at each connection
 CLOSE_S = 2.0
 AT_LEAST_ONCE = 1  # quality of service
 FORBIDDEN_IN_TOPIC = str.maketrans({"/": "_", "+": "_", "#": "_", "\0": "_"})
 
 
 class MqttAlarms:
-    """A connection to a broker. What is not there is tried again for ever; nobody waits for it.
+    """A connection to a broker. A missing broker is tried again for ever; no caller waits for it.
 
-    url : mqtt://[USER@]HOST[:PORT][/PREFIX], or mqtts: with TLS; the password is in the environment. told : called,
+    url : mqtt://[USER@]HOST[:PORT][/PREFIX], or mqtts: with TLS; the password is in the environment. note : called,
     from another thread, with one line when the broker refuses or is lost. Raises ConfigError for a URL that is none.
     """
 
-    def __init__(self, url: str, told: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, url: str, note: Callable[[str], None] = lambda text: None) -> None:
         mqtt = required("paho.mqtt.client", "monitor", "--mqtt")
         parts = urlsplit(url)
         try:
@@ -47,7 +47,7 @@ class MqttAlarms:
         secure = parts.scheme == "mqtts"
         self._prefix = parts.path.strip("/") or "rotorscope"
         self._target = f"{parts.hostname}:{port or (MQTTS_PORT if secure else MQTT_PORT)}"
-        self._told, self._connected, self._missed = told, False, False
+        self._note, self._connected, self._missed = note, False, False
         self._states: dict[str, AlarmState] = {}
         self._lock = threading.Lock()
         self._client: Any = mqtt.Client(
@@ -66,9 +66,9 @@ class MqttAlarms:
         self._client.loop_start()
 
     def listener(self, device: str) -> Callable[[AlarmState], None]:
-        """Whom the alarms of a device are told."""
+        """The function that publishes the alarms of a device."""
 
-        def tell(state: AlarmState) -> None:
+        def publish(state: AlarmState) -> None:
             own, what = (text.translate(FORBIDDEN_IN_TOPIC) for text in (device, state.what))
             topic = f"{self._prefix}/{own}/alarm/{what}"
             with self._lock:
@@ -76,10 +76,10 @@ class MqttAlarms:
             if self._connected:
                 self._publish(topic, state)
 
-        return tell
+        return publish
 
     def close(self) -> None:
-        """Say that nobody watches any more, and leave; at most two seconds."""
+        """Publish the end of the service, and disconnect; at most two seconds."""
         leaving = threading.Thread(target=self._leave, name="mqtt", daemon=True)
         leaving.start()
         leaving.join(CLOSE_S)
@@ -98,7 +98,7 @@ class MqttAlarms:
 
     def _on_connect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            self._told(f"MQTT broker {self._target}: {reason}; it is tried again")
+            self._note(f"MQTT broker {self._target}: {reason}; it is tried again")
             return
         self._connected, self._missed = True, False
         client.publish(f"{self._prefix}/status", "online", AT_LEAST_ONCE, retain=True)
@@ -108,13 +108,13 @@ class MqttAlarms:
             self._publish(topic, state)
 
     def _on_connect_fail(self, client: Any, data: Any) -> None:
-        """Nothing answers there: said once, until the broker is reached."""
+        """Report once that the broker does not answer, until it is reached."""
         if not self._missed:
-            self._told(f"MQTT broker {self._target}: cannot be reached; it is tried again")
+            self._note(f"MQTT broker {self._target}: cannot be reached; it is tried again")
         self._missed = True
 
     def _on_disconnect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if self._connected and reason.is_failure:
-            self._told(f"MQTT broker {self._target}: {reason}; it is tried again")
+            self._note(f"MQTT broker {self._target}: {reason}; it is tried again")
             self._missed = True
         self._connected = False

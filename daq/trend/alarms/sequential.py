@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.special import ndtr
 
-MAX_PHI = 0.999  # a drift that takes longer to come back than a thousand values is not told from a change
+MAX_PHI = 0.999  # a drift that returns over more than a thousand values looks like a change
 MIN_SHIFT = (
     0.1  # half of the shift that is looked for, in standard deviations of the errors: below it, it takes for ever
 )
@@ -167,7 +167,7 @@ def threshold(reference: float, values: int, phi: float, theta: float, per: floa
 
 
 class Cusum:
-    """Two-sided. change : of the value that is worth an alarm. per : values between two false alarms, on average."""
+    """A two-sided CUSUM. change : of the value, that is an alarm. per : mean number of values between false alarms."""
 
     def __init__(self, baseline: Baseline, change: float, per: float) -> None:
         self.baseline = baseline

@@ -1,4 +1,4 @@
-"""The sink that watches the numbers of the rig file's alarms, and tells who listens."""
+"""The sink that watches the values of the rig file's alarms, and notifies listeners."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Json = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmState:
-    """Of one alarm. value, sd, unit : as they were last; since_ns : Unix time of the last change of state."""
+    """State of one alarm. value, sd, unit : the last ones; since_ns : Unix time of the last change of state."""
 
     what: str
     state: State
@@ -48,7 +48,7 @@ class AlarmState:
     change: float | str | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As it is published."""
+        """The state as it is published."""
         names = ("what", "state", "value", "sd", "unit", "limit", "change", "text")
         own = {name: getattr(self, name) for name in names}
         return {"schema": 1} | own | {"since": utc_text(self.since_ns) if self.since_ns else None}
@@ -69,7 +69,7 @@ class AlarmWatch:
     ) -> None:  # fmt: skip
         self._alarms = {_key(table): (table, make_rule(table, rig)) for table in rig.alarms}
         self.states = {key: _first_state(*own) for key, own in self._alarms.items()}
-        self.raised: list[AlarmState] = []  # alarms that have begun
+        self.raised: list[AlarmState] = []  # alarms that have started
         self._listeners, self._memory = listeners, memory
         self._wall_offset_ns = wall_offset_ns or (lambda: time.time_ns() - time.monotonic_ns())
         self._rate_hz, self._now_ns, self._saved_s = 1.0, 0, 0.0
@@ -82,7 +82,7 @@ class AlarmWatch:
     def start(self, session: Session) -> None:
         self._rate_hz = session.info.rate_hz
         for state in self.states.values():
-            self._tell(state)
+            self._notify(state)
 
     def readings(self, batch: Sequence[Reading]) -> None:
         for reading in batch:
@@ -99,7 +99,7 @@ class AlarmWatch:
         self._take(values_of_estimate(estimate, estimate.index / self._rate_hz))
 
     def layers(self, stop: int, seen: Json) -> None:
-        """What the layers of a diagnosis say of the samples before `stop`; called from any thread."""
+        """Take the layers of a diagnosis of the samples before `stop`; called from any thread."""
         self._layers.append((stop, seen))
 
     def status(self, status: Status) -> None:
@@ -143,10 +143,10 @@ class AlarmWatch:
             code, level = (ALARM_LEARNED_CODE if before == "learning" else ALARM_OVER_CODE), "info"
         text = f"alarm: {state.text}" if code == ALARM_CODE else state.text
         self._notices.append(Notice(time.monotonic_ns(), level, code, text))
-        self._tell(state)
+        self._notify(state)
         self._save()
 
-    def _tell(self, state: AlarmState) -> None:
+    def _notify(self, state: AlarmState) -> None:
         for listener in self._listeners:
             listener(state)
 
@@ -154,14 +154,14 @@ class AlarmWatch:
         return {key: saved for key, (_, rule) in self._alarms.items() if (saved := rule.to_json()) is not None}
 
     def _save(self) -> None:
-        """In a thread: a disk that stalls must not hold acquisition; the next one says what is left out meanwhile."""
+        """Save in a thread, because a disk that stalls must not delay acquisition; the next save is complete again."""
         if self._memory is not None and not (self._saving is not None and self._saving.is_alive()):
             self._saving = threading.Thread(target=self._write, args=(self._to_json(),), name="alarms", daemon=True)
             self._saving.start()
 
     def _write(self, value: dict[str, Any]) -> None:
         if self._memory is not None and value:
-            with suppress(OSError):  # the next one says the same, and more
+            with suppress(OSError):  # the next save contains the same, and more
                 self._memory.parent.mkdir(parents=True, exist_ok=True)
                 unfinished.write(self._memory, json.dumps(value).encode())
 
@@ -183,7 +183,7 @@ LAYERS_SEEN_KEY = "(layers)"  # a look at the layers took place
 
 
 def _key(table: AlarmTable) -> str:
-    """Of an alarm in the memory: a change of its definition is another alarm."""
+    """Key of an alarm in the memory: a changed definition is another alarm."""
     return table.what if table.limit is not None else f"{table.what} {table.change or 'seen'}"
 
 
@@ -192,7 +192,7 @@ def _first_state(table: AlarmTable, rule: Rule) -> AlarmState:
 
 
 def make_rule(table: AlarmTable, rig: Rig) -> Rule:
-    """What decides on an alarm."""
+    """The rule of an alarm."""
     if table.change is not None:
         return ChangeRule(table)
     if table.limit is None:
