@@ -1,4 +1,4 @@
-"""Where numba keeps compiled code. It gives up where it can keep none, and over what a power cut left of some."""
+"""Chooses and cleans the folder of numba's compiled code: numba fails without one, or over files of a power cut."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ CACHE_VARIABLE = "NUMBA_CACHE_DIR"  # of the environment, numba's
 INSTALLATION_FOLDER = Path(__file__).parents[2]  # the folder of the three packages
 COMPILED_PACKAGES = ("estimator", "drivers")  # whose functions numba compiles
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
-CHECKED_FILE = "checked-in-boot"  # beside the files that were
+CHECKED_FILE = "checked-in-boot"  # beside the checked files
 
 
 def choose(root: Path = INSTALLATION_FOLDER) -> None:
-    """Before numba is imported: a folder among the temporary files, if its own places cannot be written.
+    """Choose a temporary folder before numba is imported, if its default folders cannot be written.
 
-    A read-only installation, and no home.
+    This is so for a read-only installation without a home folder.
     """
     own = root / COMPILED_PACKAGES[0] / "__pycache__"
     if CACHE_VARIABLE not in os.environ and not (_writable(own) or _writable(_home())):
@@ -27,10 +27,10 @@ def choose(root: Path = INSTALLATION_FOLDER) -> None:
 
 
 def clean(root: Path = INSTALLATION_FOLDER, boot_id: Path = BOOT_ID_FILE) -> None:
-    """Remove files that are empty or have no end: numba would end every command over one, for ever.
+    """Remove files that are empty or cut: numba would fail in every command because of them.
 
     Once in each place after the computer has started: numba itself leaves none, a power cut does. By the kernel's name
-    for this start, not by times: a computer without a clock of its own starts in the past.
+    for this start, not by times: a computer without a battery clock starts in the past.
     """
     boot = _boot(boot_id)
     folders = {file.parent for package in COMPILED_PACKAGES for file in (root / package).rglob("*.py")}
@@ -75,7 +75,7 @@ def _has_end(path: Path) -> bool:
 
 
 def _writable(folder: Path) -> bool:
-    """Tried, as numba does: what permissions say is not all."""
+    """Whether a folder can be written, tried as numba does: permissions alone do not show it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -85,7 +85,7 @@ def _writable(folder: Path) -> bool:
 
 
 def _ours(temporary: Path) -> Path:
-    """A folder of this user's alone, as its content is executed; one for all runs, as compiling takes half a minute."""
+    """A folder of this user alone, as its content is executed. All runs share it, as compiling takes half a minute."""
     user = getattr(os, "getuid", os.getpid)()
     path = temporary / f"rotorscope-numba-{user}"
     try:

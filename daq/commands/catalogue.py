@@ -57,7 +57,7 @@ def _texts(effect: Effect) -> Table:
         ("parameters", "for each direction" if effect.scope == "direction" else "one set for both directions"),
         ("signature", effect.signature),
         ("confused with", ", ".join(effect.confused_with) or "nothing in the catalogue"),
-        ("told apart by", effect.distinguish),
+        ("distinguished by", effect.distinguish),
         ("on the machine", effect.on_machine),
         ("source", effect.reference),
         ("checked by", effect.check),

@@ -23,11 +23,11 @@ def main() -> NoReturn:
     """Run the command line, and end with its status."""
     _fill_closed()
     _say_anything()
-    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job's is ignored
-    if heard:
+    handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job ignores it
+    if handled:
         signal.signal(signal.SIGINT, _leave)
     if sys.argv[1:2] == ["run"] and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _stopped)  # until the session has a handler of its own
+        signal.signal(signal.SIGTERM, _stopped)  # until the session sets its handler
     gc.set_threshold(GARBAGE_OBJECTS)
     # a fit that leaves the rotor overflows before it says so in one line
     warnings.filterwarnings("ignore", ".* encountered in ", RuntimeWarning, "estimator")
@@ -39,11 +39,11 @@ def main() -> NoReturn:
 
     sys.unraisablehook = _unless_interrupted
     try:
-        if heard:
+        if handled:
             signal.signal(signal.SIGINT, interrupt)
         status = run()
         _drop_unsaid()
-        if heard:
+        if handled:
             signal.signal(signal.SIGINT, _leave)
         _end(status)
     except KeyboardInterrupt:
@@ -51,7 +51,7 @@ def main() -> NoReturn:
 
 
 def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
-    """An interrupt that Python could not raise, in a callback of its own, comes again once that has ended."""
+    """Repeat an interrupt that Python could not raise within a callback, once the callback has ended."""
     if what.exc_type is KeyboardInterrupt:
         threading.Timer(AGAIN_S, _again).start()
     else:
@@ -59,19 +59,19 @@ def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
 
 
 def _again() -> None:
-    if signal.getsignal(signal.SIGINT) is interrupt:  # else a command that has its own has seen it
+    if signal.getsignal(signal.SIGINT) is interrupt:  # else the handler of a command has seen it
         os.kill(os.getpid(), signal.SIGINT)  # the main thread's, also where it waits
 
 
 def _say_anything() -> None:
-    """Also names of files that are no text, and what a terminal of few letters has not."""
+    """Let the streams print any text, also names of files that are no text and letters that a terminal lacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _fill_closed() -> None:
-    """A standard stream that was closed for us: the next file to be opened, a log, would get its number."""
+    """Open closed standard streams to nowhere: else the next file, a log, would get their number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -82,7 +82,7 @@ def _fill_closed() -> None:
 
 
 def _drop_unsaid() -> None:
-    """What could not be written is in the stream's buffer still, and Python would end with status 120 for it."""
+    """Discard unwritten output, which stays in the buffer and would make Python end with status 120."""
     from daq.base.console.output import to_nowhere
 
     for stream in (sys.stdout, sys.stderr):
@@ -93,20 +93,20 @@ def _drop_unsaid() -> None:
 
 
 def _end(status: int) -> NoReturn:
-    """All is written and said. What threads still compute, and that Python takes apart what was imported, would hold
-    the end of a stopped session by seconds on a busy machine.
+    """End at once, after all output. Threads that still compute, and the release of imported modules, would delay the
+    end of a stopped session by seconds on a busy machine.
     """
     atexit._run_exitfuncs()
     os._exit(status)
 
 
 def _stopped(*_: object) -> NoReturn:
-    """SIGTERM before a session has begun, or after it has ended: as one ends that has."""
+    """Handle SIGTERM before or after a session: end with the status of a stopped session."""
     os._exit(0)
 
 
 def _leave(*_: object) -> NoReturn:
-    """Nothing has begun, or all has been closed, that had to be."""
+    """Handle SIGINT before a command has started or after it has ended: remove unfinished files, and end."""
     remove_all = getattr(
         sys.modules.get("daq.base.console.unfinished"), "remove_all", None
     )  # none while that is imported

@@ -94,7 +94,7 @@ def configured() -> list[dict[str, str]]:
     for name in ("pcan", "kvaser", "vector", "ixxat", "gs_usb", "neovi", "usb2can", "systec", "canalystii"):
         try:
             configs = can.detect_available_configs(interfaces=[name])
-        except Exception:  # noqa: BLE001, S112 - a vendor's library that is half installed; its absence is told below
+        except Exception:  # noqa: BLE001, S112 - a vendor's library that is half installed; its absence is reported below
             continue
         out += [{"link": f"can:{name}:{c['channel']}", "what": f"{name} adapter"} for c in configs if "channel" in c]
     return out

@@ -1,4 +1,4 @@
-"""Files that are not whole yet: whatever ends the program, but kill -9, leaves none of them behind."""
+"""Removes incomplete files when the program ends, however it ends but by kill -9."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _names: set[Path] = set()
 
 
 def begin(path: Path) -> None:
-    """It is being made; call it `unbroken` together with what makes it."""
+    """Mark a file as being written; call this `unbroken` together with its creation."""
     _names.add(path)
     go_on()
 
 
 def finish(path: Path) -> None:
-    """It is whole, or has got its name."""
+    """Mark a file as complete."""
     _names.discard(path)
 
 
 def wanted(path: Path) -> bool:
-    """Whether it is still being made."""
+    """Whether a file is still being written."""
     return path in _names
 
 
@@ -42,7 +42,7 @@ def remove(path: Path) -> None:
 
 @atexit.register
 def remove_all() -> None:
-    """At the end of the program: of what was interrupted where nobody could clear it away."""
+    """Remove all incomplete files at the end of the program."""
     with unbroken():
         while _names:
             remove(_names.pop())
@@ -50,9 +50,9 @@ def remove_all() -> None:
 
 @contextmanager
 def half(path: Path) -> Iterator[Path]:
-    """A place for what is to get the name `path`, in a folder of ours beside it; gone afterwards with what is in it.
+    """A temporary path for a file that is to become `path`, in a private folder beside it that is removed afterwards.
 
-    No other user can lay a link there that would have us write elsewhere. Raises OSError.
+    No other user can place a link there that would redirect the writing. Raises OSError.
     """
     with unbroken():
         folder = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
@@ -64,7 +64,7 @@ def half(path: Path) -> Iterator[Path]:
 
 
 def private(path: Path) -> tuple[int, Path]:
-    """A new file of ours beside `path`, open, that is to get its name: no link is followed. Raises OSError."""
+    """A new private file beside `path`, open, that is to get its name; no link is followed. Raises OSError."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     return handle, Path(name)
 
@@ -78,7 +78,7 @@ def named(temporary: Path, path: Path) -> None:
 
 
 def led_to(path: Path) -> Path:
-    """Where a file of this name goes: a symbolic link stays, and leads there. Raises OSError for one in a circle."""
+    """The path that is written for this name: a symbolic link is followed. Raises OSError for a circle of links."""
     if not path.is_symlink():
         return path
     with suppress(FileNotFoundError):  # it leads to nothing yet
@@ -87,7 +87,7 @@ def led_to(path: Path) -> Path:
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write a file so that nobody ever sees half of it. Raises OSError."""
+    """Write a file so that no reader ever sees half of it. Raises OSError."""
     if path.exists() and not path.is_file():  # /dev/stdout, a named pipe
         path.write_bytes(data)
         return

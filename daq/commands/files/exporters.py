@@ -1,4 +1,4 @@
-"""`rotorscope export`: a log into another format. Values in the units of the log's rig file; gaps are NaN, and said."""
+"""`rotorscope export`: a log into another format. Values in the units of the log's rig file; gaps are NaN."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def export(output: Output, log: Path, to: Path, part: Part = WHOLE_RECORD) -> No
 
 
 def _say(output: Output, recording: Recording, table: Table, to: Path) -> None:
-    """What a reader of the export has to know."""
+    """Print what a reader of the export must know."""
     log = recording.path
     for number, (name, channel) in enumerate(zip(table.names, table.channels, strict=True), 1):
         if name != channel:
@@ -134,7 +134,7 @@ def in_si(recording: Recording) -> Table:
 
 
 def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
-    """The samples of a log in the units of its own rig file; in SI where that does not know a channel, or is lost."""
+    """Samples of a log in the units of its rig file; in SI for a channel that the file lacks, or without the file."""
     names, units = recording.channels, [s.unit for s in recording.info.signals]
     values = recording.samples()
     table = Table(
@@ -160,7 +160,7 @@ def in_units(recording: Recording, note: Callable[[str], None]) -> Table:
 
 
 def named(table: Table, suffix: str) -> Table:
-    """With names that the format can hold, each once and none that it needs itself."""
+    """The table with names that the format can hold, each once and none reserved."""
     taken, names = set(RESERVED_NAMES.get(suffix, ())), []
     wanted = [_matlab_name(c) if suffix == ".mat" else c or "channel" for c in table.channels]
     for name in wanted:

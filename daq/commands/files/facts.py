@@ -1,4 +1,4 @@
-"""What is in a log, as `rotorscope info` tells it."""
+"""Content of a log, as `rotorscope info` prints it."""
 
 from __future__ import annotations
 

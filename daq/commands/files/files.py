@@ -52,9 +52,9 @@ def info(output: Output, log: Path, part: Part = WHOLE_RECORD) -> None:
 
 
 def _looked_at(log: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
-    """What makes the record unfit to be judged, nothing that its notices say already; severity by channel.
+    """Findings that make the record unfit to be judged, beyond its notices; and severity by channel.
 
-    By the log's own rig file; nothing of a long log.
+    They use the rig file of the log. A long log gives none.
     """
     from daq.log.rig_samples import rig_samples
     from estimator.identification.record import severity, survey_record
@@ -106,7 +106,7 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
 
 
 def _notices(notices: Sequence[Notice]) -> list[tuple[str, str]]:
-    """Of each kind how often, and the last one's text; warnings and errors before the rest."""
+    """Count and last text of each kind of notice; warnings and errors first."""
     last = {n.code: n for n in notices}
     often = Counter(n.code for n in notices)
     kinds = sorted(last.values(), key=lambda n: n.level == "info")

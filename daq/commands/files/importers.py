@@ -1,4 +1,4 @@
-"""`rotorscope import`: a file of another format into a log of ours.
+"""`rotorscope import`: a file of another format into a Rotorscope log.
 
 Raw counts of a log are int32. Whole numbers go in as they are. Others are scaled by a power of two, channel by
 channel, so that the largest comes to between 2^29 and 2^30: rounding is then 2^-30 of the largest value, some 180 dB
@@ -65,7 +65,7 @@ def import_files(
             ways = " or ".join(f"rotorscope import {shlex.quote(name)} {rest}" for name in error.choices)
             raise LinkOpenError(f"{error.what}; choose one: {ways}" if ways else error.what) from error
         return
-    found: list[Notice] = []  # for the log, too: whoever has only that is to know
+    found: list[Notice] = []  # for the log, too, whose reader may have no other source
 
     def say(text: str, code: str = "file_odd", of: Path = paths[0]) -> None:
         output.note(f"{of}: {text}")
@@ -77,10 +77,10 @@ def import_files(
             read.append((path, load(path, rig, rate_hz, partial(say, of=path), gaps, part)))
     record = joined(read, say) if len(read) > 1 else read[0][1]
     faults = findings(record.si(), record.rate_hz, rig, SURVEYED_VALUES)
-    told = [*found, *(Notice(time.monotonic_ns(), "warning", code, text) for code, text in faults)]
+    notices = [*found, *(Notice(time.monotonic_ns(), "warning", code, text) for code, text in faults)]
     source = ", ".join(path.name for path in paths)
     with output.progress(f"writing {out.name}") as progress:
-        write_record(record, rig, out, {"source": source}, progress, output.note, told)
+        write_record(record, rig, out, {"source": source}, progress, output.note, notices)
     for code, text in faults:
         say(text, code)
     seconds = (record.samples + sum(count for _, count in record.breaks)) / record.rate_hz
@@ -119,7 +119,7 @@ def write_record(
     record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress,
     note: Callable[[str], None] = lambda text: None, found: Sequence[Notice] = (),
 ) -> None:  # fmt: skip
-    """Write a log of a record and of what was found in it: all or none. Raises LogError if it cannot be written."""
+    """Write a log of a record and its findings: complete or not at all. Raises LogError if it cannot be written."""
     from daq.base.contract.dates import Recorded
     from daq.log.writer import LogWriter
 
@@ -158,7 +158,7 @@ def write_record(
 
 
 def versions() -> dict[str, str]:
-    """What made the log."""
+    """Versions of the programs that made the log."""
     return {"command": "import", "rotorscope": version("rotorscope")}
 
 

@@ -88,13 +88,13 @@ def run_devices(
         undo.pop_all()
         operators = {name: Operator(output, name) for name in names}
 
-        def tell(name: str, notice: Notice) -> None:
+        def notify(name: str, notice: Notice) -> None:
             operators[name](notice)
             if table is not None:
                 table.rows[name].notice(notice)
 
         with table or nullcontext():
-            outcome = acquire_all([each.device for each in devices], seconds, stop.event, notify=tell)
+            outcome = acquire_all([each.device for each in devices], seconds, stop.event, notify=notify)
     failed = _report(output, devices, outcome, strict, stop.event.is_set())
     if stop.interrupted and not any(isinstance(r, RunSummary) and r.lost_log for r in outcome.values()):
         raise KeyboardInterrupt
@@ -113,7 +113,7 @@ def _table(output: Output, names: Sequence[str]) -> DevicesTable | None:
 def _report(
     output: Output, devices: Sequence[_Asked], outcome: dict[str, RunSummary | Exception], strict: bool, stopped: bool
 ) -> dict[str, Exception]:
-    """Say what came of each; those that failed. stopped : by a signal, also before the first sample."""
+    """Report the result of each device; returns the failures. stopped : by a signal, also before the first sample."""
     people: list[Any] = []
     values: list[dict[str, Any]] = []
     failed: dict[str, Exception] = {}

@@ -30,7 +30,7 @@ class DeviceRow(LiveState):
         self._ended = True
 
     def notice(self, notice: Notice) -> None:
-        """What the operator is told, also of a link that was never there."""
+        """Show a notice to the operator, also of a link that was never open."""
         if notice.code in NAMING_CODES:
             self._named = notice.text
         elif notice.code in _DOWN_WORDS:

@@ -1,4 +1,4 @@
-"""What every session has, of one device or of several: its sinks, what the operator is told, what came of it."""
+"""Parts of every session, of one device or several: its sinks, the notices to the operator, its result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.contract import Notice
 if TYPE_CHECKING:
     from daq.report.metrics import MetricsServer
 
-# the end of what was told
+# codes of notices that end a fault
 RECOVERY_CODES = (
     *("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back"),
     *(ALARM_OVER_CODE, ALARM_LEARNED_CODE),
@@ -85,7 +85,7 @@ def serve_metrics(output: Output, port: int) -> MetricsServer:
 def run_failure(
     summary: RunSummary, strict: bool, link: str, stopped: bool = False, alarms: Sequence[str] = ()
 ) -> Exception | None:
-    """Why a run that came to its end failed nevertheless; with `strict` also if a sample was lost, or for an alarm.
+    """Why a finished run counts as failed; with `strict` also for a lost sample or an alarm.
 
     stopped : by a signal, also before the first sample. alarms : what each that was raised says.
     """
@@ -98,7 +98,7 @@ def run_failure(
 
 
 def in_words(summary: RunSummary, out: Path | None) -> list[Any]:
-    """What came of a session, for people."""
+    """The result of a session, for people."""
     people: list[Any] = []
     estimate = summary.last_estimate
     if estimate is not None and estimate.parameters:

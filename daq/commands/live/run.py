@@ -63,7 +63,7 @@ def run_rig(
     rerun: str | None = None, strict: bool = False, metrics: int | None = None, command: str = "run",
     part: Part = WHOLE_RECORD, watching: Watching | None = None,
 ) -> None:  # fmt: skip
-    """Acquire from a link into a log and a viewer, and say what came of it."""
+    """Acquire from a link into a log and a viewer, and report the result."""
     driver = open_driver(link, rig)
     if part.of_time:
         driver = PartOf(driver, part, link or "")
@@ -231,7 +231,7 @@ def _speed(text: str) -> float | None:
 
 
 def _serving(output: Output, url: str) -> None:
-    """Where the device is: on standard output at once, for whoever waits for it."""
+    """Print the link of the device at once, for programs that wait for it on standard output."""
     if not output.quiet and output.json != "-":
         print(f"serving {url}", flush=True)  # noqa: T201
     else:

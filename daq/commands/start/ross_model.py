@@ -17,7 +17,7 @@ from daq.base.console.extras import check_installed
 from daq.base.console.output import Output, write_whole
 from daq.base.contract.errors import ConfigError
 
-# ROSS prints while it is loaded, and takes seconds: it runs in a process of its own
+# ROSS prints while it is loaded, and takes seconds: it runs in a separate process
 CHILD_CODE = """
 import json, sys
 import numpy as np, ross
@@ -27,14 +27,14 @@ rotor = ross.Rotor(whole.shaft_elements, whole.disk_elements, None, whole.point_
 size = rotor.number_dof
 np.savez(target, M=rotor.M(0), K=rotor.K(0), C=rotor.C(0), G=rotor.G(), dofs_per_node=size)
 seals = [b for b in whole.bearing_elements if isinstance(b, ross.SealElement)]
-told = {
+model = {
     "nodes": len(rotor.M(0)) // size,
     "bearings": [[str(b.tag or ""), int(b.n)] for b in whole.bearing_elements if b not in seals],
     "discs": [[str(d.tag or ""), int(d.n)] for d in whole.disk_elements],
     "seals": len(seals),
     "supports": sum(b.n_link is not None for b in whole.bearing_elements),
 }
-print("\\n" + json.dumps(told))
+print("\\n" + json.dumps(model))
 """
 
 
@@ -47,23 +47,25 @@ def rotor(output: Output, source: Path, out: Path) -> None:
     if not source.is_file():
         raise ConfigError(f"{source}: no such file; save the model in ROSS: rotor.save('{source.stem}.toml')")
     check_installed(("ross",), "ross", f"{source}: a model saved by ROSS")
-    told, arrays = _matrices(source)
-    bearings, discs = _named(told["bearings"], "bearing"), _named(told["discs"], "disc")
+    model, arrays = _matrices(source)
+    bearings, discs = _named(model["bearings"], "bearing"), _named(model["discs"], "disc")
     if len(bearings) < 1:
         raise ConfigError(f"{source}: holds no bearing; add bearing elements, for their nodes")
     write_whole(out, arrays)
     text = _tables(out, bearings, discs)
     notes = []
-    if told["seals"]:
-        notes.append(f"note: {told['seals']} seals are left out: what they do is for the record to show")
-    if told["supports"]:
-        notes.append(f"note: {told['supports']} bearings stand on supports, which are left out: give a pedestal effect")
-    value = {"schema": 1, "file": str(out), "nodes": told["nodes"], "bearings": bearings, "discs": discs}
-    output.result(value, text, *notes, f"{out}: shaft and discs of {source.name}, {told['nodes']} nodes")
+    if model["seals"]:
+        notes.append(f"note: {model['seals']} seals are left out: what they do is for the record to show")
+    if model["supports"]:
+        notes.append(
+            f"note: {model['supports']} bearings stand on supports, which are left out: give a pedestal effect"
+        )
+    value = {"schema": 1, "file": str(out), "nodes": model["nodes"], "bearings": bearings, "discs": discs}
+    output.result(value, text, *notes, f"{out}: shaft and discs of {source.name}, {model['nodes']} nodes")
 
 
 def _matrices(source: Path) -> tuple[dict[str, Any], bytes]:
-    """What ROSS says of the model, and its matrices as .npz."""
+    """Names and counts of the model's elements, and its matrices as .npz."""
     from tempfile import TemporaryDirectory
 
     with TemporaryDirectory() as folder:
@@ -78,12 +80,12 @@ def _matrices(source: Path) -> tuple[dict[str, Any], bytes]:
             kept = {name: arrays[name] for name in arrays.files}
         packed = io.BytesIO()
         np.savez_compressed(packed, **kept)
-        told: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
-        return told, packed.getvalue()
+        model: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+        return model, packed.getvalue()
 
 
 def _refusal(source: Path, said: str) -> str:
-    """Why a file cannot be loaded, and what to do. said : what ROSS left on standard error."""
+    """Why a file cannot be loaded, with a remedy. said : text of ROSS on standard error."""
     again = f"save the model in ROSS: rotor.save('{source.stem}.toml')"
     try:
         text = source.read_text("utf-8")

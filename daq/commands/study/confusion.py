@@ -1,7 +1,7 @@
-"""The confusion matrix of the diagnosis: hidden effects by our own simulator, what is named, in Markdown and JSON.
+"""The confusion matrix of the diagnosis: effects hidden by the simulator against verdicts, in Markdown and JSON.
 
-What is named rightly is added to the rig without a number, as a user would, and fitted: what force is missing then, and
-how much of the way to the likelihood of the true model (fitted from the true numbers) is gone.
+A correct verdict is added to the rig without values, as a user would add it, and fitted. The matrix gives the force
+that is then missing, and the share of the gain to the likelihood of the true model (fitted from the true values).
 
     rotorscope confusion configs/tiwari_vyas_1997.toml --out build/confusion --seconds 20 --seeds 1
 
@@ -111,11 +111,11 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         cells = [f"{by[c].count(effect)}/{len(by[c])}" if c in by else "" for c in columns]
         others = Counter(v for said in by.values() for v in said if v != effect)
         right += sum(said.count(effect) for said in by.values())
-        told = ", ".join(f"{k} {n}" for k, n in others.most_common())
+        other_verdicts = ", ".join(f"{k} {n}" for k, n in others.most_common())
         scores = [z for r in runs if r["effect"] == effect for _, z in r.get("numbers", {}).values()]
         covered = f"{sum(abs(z) < 1.96 for z in scores)}/{len(scores)}" if scores else ""
         force, gap = ended([r for r in runs if r["effect"] == effect and r.get("added")])
-        lines.append(f"| {effect} | {' | '.join(cells)} | {covered} | {force} | {gap} | {told} |")
+        lines.append(f"| {effect} | {' | '.join(cells)} | {covered} | {force} | {gap} | {other_verdicts} |")
     lines += [
         "",
         f"All: {right}/{len(runs)}. Numbers covered: true values within the 95 % interval of the diagnosis. Force "

@@ -1,4 +1,4 @@
-"""Records of our own simulator with effects that the model lacks, and what of a result agrees with that truth."""
+"""Simulated records with effects that the model lacks, and the errors of a result against that truth."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def has_one_place(effect: str, at: str) -> bool:
 
 
 def varied(model: Model, seed: int) -> tuple[Model, float]:
-    """A complete model of its own for every seed: damping, stiffness, forces, band; and the sensor noise (m/s^2)."""
+    """A complete model that differs for every seed (damping, stiffness, forces, band), and the sensor noise, m/s^2."""
     rng = np.random.default_rng(1000 + seed)
     linear = {}
     for place, old in model.linear.items():

@@ -62,13 +62,13 @@ def reproduce(
 ) -> dict[str, Any]:
     """Write figures 4-19 (PNG), tables 1-3 and index.html, numbers.json into `out_dir`; returns the numbers.
 
-    progress : told the share that is done, 0 to 1. seconds : of each of the two simulated records. replicates : of the
-    bootstrap.
+    progress : called with the share that is done, 0 to 1. seconds : of each of the two simulated records.
+    replicates : of the bootstrap.
     """
     from .reproduce_figures import draw_all
     from .reproduce_page import write_page
 
-    told = progress or (lambda done: None)
+    report = progress or (lambda done: None)
     out_dir.mkdir(parents=True, exist_ok=True)
     plan = (
         ("rig", "the rig's own shaft, ks/kL = 0.016", SOFT_SHAFT),
@@ -77,13 +77,13 @@ def reproduce(
     cases = []
     for k, (name, title, shaft) in enumerate(plan):
         cases.append(
-            run_case(name, title, shaft, seconds, seed + k, lambda d, k=k: told((k + d) * 0.22))  # type: ignore[misc]
+            run_case(name, title, shaft, seconds, seed + k, lambda d, k=k: report((k + d) * 0.22))  # type: ignore[misc]
         )
     rows: list[Row] = []
     work = [(case, direction, known) for case in cases for direction in CAP_KG for known in (False, True)]
     for k, (case, direction, known) in enumerate(work):
         rows += estimates(case, direction, known, replicates)
-        told(0.44 + 0.4 * (k + 1) / len(work))
+        report(0.44 + 0.4 * (k + 1) / len(work))
     hertz = section6(rows, "rig")
     numbers = {
         "schema": 1,
@@ -100,10 +100,10 @@ def reproduce(
         "kinematics": dict(hertz.kinematics),
     }
     figures = draw_all(out_dir, cases, rows, hertz)
-    told(0.97)
+    report(0.97)
     write_page(out_dir, numbers, figures, cases)
     (out_dir / "numbers.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n")
-    told(1.0)
+    report(1.0)
     return numbers
 
 

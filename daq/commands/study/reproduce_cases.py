@@ -45,7 +45,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One parameter in and out. value, sd : None where the data cannot tell; interval : 95 %."""
+    """One parameter in and out. value, sd : None where not identifiable; interval : 95 %."""
 
     case: str
     masses: str
