@@ -1,7 +1,7 @@
-"""The results of an archive as Parquet: a folder with a file for each table, and pieces that are not in them yet.
+"""The results of an archive as Parquet: a folder with a file for each table, and pieces that are not merged yet.
 
-A piece holds the rows of some tasks, and gets its name when it is whole. Tables are written anew from old tables and
-pieces; only then the pieces go. Whatever is killed at whatever moment, the next call finds all that was done.
+A piece holds the rows of some tasks, and gets its name when it is complete. A merge writes the tables anew from tables
+and pieces, and then removes the pieces. If the program is killed at any moment, the next call finds all results.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def schema(table: str) -> pa.Schema:
 
 
 class Results:
-    """A folder of results, ours alone while it is open."""
+    """A folder of results, locked while it is open."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -79,7 +79,7 @@ class Results:
     @classmethod
     @contextmanager
     def opened(cls, folder: Path) -> Iterator[Results]:
-        """Raises ConfigError if it cannot be made, another command has it, or its tables have another schema."""
+        """Open a folder. Raises ConfigError if it cannot be made, another command uses it, or the schema differs."""
         own = cls(folder)
         try:
             own._pieces.mkdir(parents=True, exist_ok=True)
@@ -105,7 +105,7 @@ class Results:
         return [(code, reason) for status, code, reason in rows if status != DONE_STATUS]
 
     def verdicts(self) -> list[tuple[str, bool]]:
-        """The verdict of each diagnosis, and whether it stands in the archive."""
+        """Verdict of each diagnosis, and whether it stays significant in the archive."""
         rows = self._columns("verdicts", ("task", "verdict", "stands"))
         return [(verdict, bool(stands)) for task, verdict, stands in rows if task == "diagnose"]
 
@@ -169,7 +169,7 @@ class Results:
 
     @staticmethod
     def _piece(path: Path) -> list[dict[str, Any]]:
-        """The rows of a piece; none of one that a power cut left without an end."""
+        """The rows of a piece; none for a piece that a power cut left incomplete."""
         from pyarrow import ArrowException, parquet
 
         with suppress(OSError, ArrowException, ValueError):
@@ -183,7 +183,7 @@ class Results:
 
 
 def _write(path: Path, table: pa.Table, parquet: Any) -> None:
-    """Write a table aside, and give it its name."""
+    """Write a table to a temporary file, and rename it."""
     try:
         with half(path) as aside:
             parquet.write_table(table, aside, compression="zstd")
@@ -193,7 +193,7 @@ def _write(path: Path, table: pa.Table, parquet: Any) -> None:
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row as JSON has it: times in s of Unix."""
+    """A row for JSON: times are Unix times in s."""
     return {k: v.timestamp() if isinstance(v, datetime) else v for k, v in row.items()}
 
 
@@ -226,7 +226,7 @@ def _typed(value: Any, kind: str) -> Any:
 
 
 def _corrected(verdicts: pa.Table) -> pa.Table:
-    """The table of verdicts with p-values that also pay for the number of records that it holds."""
+    """The table of verdicts with p-values corrected for the number of its records."""
     import pyarrow as pa
     from scipy.stats import false_discovery_control
 

@@ -159,7 +159,7 @@ def _scalar(path: Path, value: Any) -> float:
 
 
 def _elsewhere(path: Path, names: Sequence[str]) -> Columns:
-    """In a process of its own, see import_child."""
+    """Read a file in a separate process (child.py)."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "columns.npz"
         command = [sys.executable, "-P", "-m", "daq.exchange.child", str(path.resolve()), str(out), *names]

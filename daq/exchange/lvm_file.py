@@ -1,4 +1,4 @@
-"""LabVIEW measurement files (.lvm): text with a head of its own, and one for each segment."""
+"""LabVIEW measurement files (.lvm): text with a head for the file, and one for each segment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Editing a rig file in place of its owner: comments and layout survive (tomlkit)."""
+"""Edits a rig file for its owner; comments and layout are kept (tomlkit)."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def with_effect(
 
 
 def _again(rig: Rig, effect: str) -> str:
-    """What to do about an effect that is in the model everywhere."""
+    """Remedy for an effect that is already in the model everywhere."""
     taken = [use.name for use in rig.model.effects]
     further = next((name for name in MORE_LINES if name not in taken), None) if effect == "line" else None
     return "nothing to add" if further is None else f"a further line is called {further}"
@@ -155,8 +155,8 @@ def without_effect(rig: Rig, effect: str, at: Sequence[str] = ()) -> str:
 
 
 def with_values(rig: Rig, parameters: Mapping[str, Parameter], digits: int = 9) -> str:
-    """The text of the rig file with fitted values in [model...], and in [rig.mass] where it is silent. What could not
-    be told, what is fixed, and what is no parameter of the file stays as it is. digits : 17 for the very values."""
+    """The text of the rig file with fitted values in [model...], and in [rig.mass] where it has none. Values
+    that are not identifiable or fixed, and all other keys, are kept. digits : 17 for the exact values."""
     tables: dict[tuple[str, ...], dict[str, float]] = {}
     uses = {use.name: use for use in rig.model.effects}
     for name, parameter in parameters.items():

@@ -1,4 +1,4 @@
-"""The [model] tables of effects: which places an effect acts at, and a setting for every parameter there."""
+"""The [model] tables of effects: the places of each effect, and a setting for every parameter there."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MODEL_KEYS = ("effects", "linear", "custom")
 def at_places(
     items: Iterable[str], possible: Sequence[str], channels: Mapping[str, str]
 ) -> tuple[tuple[str, ...], list[str]]:
-    """The places that names of places, nodes, channels, or "all" mean; and what is wrong with them."""
+    """The places for names of places, nodes, channels, or "all"; and the problems in these names."""
     found: list[str] = []
     wrong: list[str] = []
     for item in items:
@@ -43,7 +43,7 @@ def at_places(
 def effects_of(
     table: ModelTable, catalogue: Mapping[str, Effect], model: Model, base: Folder | None
 ) -> tuple[tuple[EffectUse, ...], list[Problem]]:
-    """The effects of a [model] table in their order, those that are but candidates too, and everything wrong with them.
+    """The effects of a [model] table in their order, with those that are only candidates, and all problems.
 
     model : the rig without them; base : where paths of modules start; None: none is run.
     """
@@ -93,14 +93,14 @@ def effects_of(
             if not possible:
                 i = table.effects.index(name)
                 problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
-            elif effect.turns and not _turning(model):
+            elif effect.turns and not _knows_shaft_angle(model):
                 problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_NO_SHAFT_ANGLE}'))
             reader = _Reader(("model", name), parameters, possible, channels, problems=problems, nodes=nodes)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
 
 
-def _turning(model: Model) -> bool:
+def _knows_shaft_angle(model: Model) -> bool:
     """Whether the shaft angle is known."""
     return bool(model.speed_rpm) or any(c.kind == "tacho" for c in model.channels)
 
@@ -108,7 +108,7 @@ def _turning(model: Model) -> bool:
 def _law(
     own: CustomTable, model: Model, base: Folder | None
 ) -> tuple[CustomLaw, tuple[str, ...], list[tuple[str, str]]]:
-    """A law of the user's own, the places it can act at, and what is wrong with it: (key, text)."""
+    """A law of the user, the places where it can act, and its problems: (key, text)."""
     units = {k: p.unit or "1" for k, p in own.parameters.items()}
     if own.module is not None and base is None:
         text = f"{own.module} is a Python file, and none that a log names is run; give the rig file itself: --rig"
@@ -126,7 +126,7 @@ def _law(
             for k in units
             if k not in known
         ]
-        if effect.turns and not _turning(model):
+        if effect.turns and not _knows_shaft_angle(model):
             wrong.append(("module", f"{own.module} {_NO_SHAFT_ANGLE}"))
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
     from estimator.effects.engine import ExpressionError, compile_law
@@ -138,7 +138,7 @@ def _law(
         if error.parameter:
             return law, model.places, [(f"parameters.{error.parameter}", str(error))]
         return law, model.places, [("expression", f'"{_in_a_line(own.expression or "")}": {error}')]
-    if re.search(r"\bphase\b", own.expression or "") and not _turning(model):
+    if re.search(r"\bphase\b", own.expression or "") and not _knows_shaft_angle(model):
         return law, model.places, [("expression", f"the law {_NO_SHAFT_ANGLE}")]
     return law, model.places, []
 
@@ -149,7 +149,7 @@ def _in_a_line(expression: str, most: int = 80) -> str:
 
 
 def _nowhere(effect: Effect, model: Model) -> str:
-    """Why an effect can act nowhere in this rig, and what to do."""
+    """Why an effect can act nowhere in this rig, with a remedy."""
     if effect.kind in ("disc", "shaft") and model.shaft == "none":
         return 'acts on the disc or the shaft: say rig.shaft = "chain" or "beam", or remove it'
     if effect.kind == "disc":
@@ -166,7 +166,7 @@ def setting(table: SettingTable) -> Setting:
 
 
 class _Reader:
-    """Reads one effect's table; what is wrong goes to `problems`."""
+    """Reads the table of one effect; problems are appended to `problems`."""
 
     def __init__(
         self,

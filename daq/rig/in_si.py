@@ -1,4 +1,4 @@
-"""Devices of other makers: their DBC says in which unit a signal is; from here on it is in SI."""
+"""Converts signals of other makers' devices, whose DBC gives the unit, to SI."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .units import SI_UNIT, UNITS_OF_KIND, VOLTS_OF_UNIT, canonical
 class InSI:
     """A driver whose signals are of any unit, as one that keeps the contract: SI value = counts * scale + offset.
 
-    channels : of the rig file. A unit that the DBC leaves out, or that nobody knows, is the rig's (the latter is told);
-    one of another kind of quantity stays as it is: the pipeline says so. Volts need a sensitivity: `read` raises
-    ConfigError without.
+    channels : of the rig file. A unit that the DBC leaves out, or that is unknown, is the rig's (a notice names an
+    unknown one). A unit of another kind of quantity is kept, and the pipeline reports it. Volts need a sensitivity:
+    `read` raises ConfigError without one.
     """
 
     def __init__(self, driver: Driver, channels: Iterable[ChannelTable]) -> None:
@@ -40,7 +40,9 @@ class InSI:
     def read(self, timeout_s: float) -> list[Reading]:
         out: list[Reading] = []
         stamp = 0
-        for reading in reversed(self._driver.read(timeout_s)):  # an Info has no time: that of what follows it
+        for reading in reversed(
+            self._driver.read(timeout_s)
+        ):  # an Info has no time: its notice gets that of the next reading
             if isinstance(reading, Info):
                 signals, unknown = zip(*(self._in_si(signal) for signal in reading.signals), strict=True)
                 out += [Notice(stamp, "warning", "unknown_unit", text) for text in unknown if text]
@@ -51,7 +53,7 @@ class InSI:
         return out[::-1]
 
     def _in_si(self, signal: Signal) -> tuple[Signal, str]:
-        """And what is to be said of it."""
+        """The signal in SI, and a warning about its unit, "" if none."""
         channel = self._channels[signal.name]
         unit, said = canonical(signal.unit), ""
         if unit not in VOLTS_OF_UNIT and not any(unit in units for units in UNITS_OF_KIND.values()):

@@ -68,7 +68,7 @@ class Rig:
     ) -> Rig:  # fmt: skip
         """The rig that a TOML text describes. Raises ConfigError with one line for each problem.
 
-        Of a text that came out of a log, no Python file is run. attached : the other files in the log.
+        No Python file is run for a text from a log. attached : the other files in the log.
         """
         base = base or Path()
         modules = None if path is None else base
@@ -131,7 +131,7 @@ class Rig:
     def attachments(self) -> dict[str, bytes]:
         """What a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own.
 
-        What a log says of files here is not followed.
+        Paths of this computer that stand in a log are not followed.
         """
         files = {"rig.toml": self.text.encode()}
         if self.path is None:
@@ -145,7 +145,7 @@ class Rig:
 
 
 def _toml(text: str, where: str) -> dict[str, Any]:
-    """The tables of a text. What no rig file needs is refused: the library takes long over it, or trips."""
+    """The tables of a text. Refuses a text on which the library takes long or fails, and which no rig file needs."""
     if len(text) > MAX_CHARACTERS:
         raise ConfigError(f"{where}: larger than {MAX_CHARACTERS / 1e3:g} kB; a rig file has a few: check the path")
     for number, line in enumerate(text.splitlines(), 1):
@@ -202,7 +202,7 @@ def load_rig(path: str | Path) -> Rig:
 
 
 def _not_read(path: Path, error: OSError | UnicodeDecodeError) -> str:
-    """Why a file is no rig file, and what to do."""
+    """Why a file is no rig file, with a remedy."""
     if isinstance(error, PermissionError):
         return f"cannot be read: {error.strerror}; ask its owner to let you read it"
     if isinstance(error, OSError):
@@ -231,7 +231,7 @@ def check_laws(rig: Rig, path: Path) -> None:
 
 
 def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
-    """Each table by itself, so that a mistake in one hides none in another; and what the tables say together."""
+    """Problems of each table separately, so that a mistake in one hides none in another; then of all together."""
     problems: list[Problem] = []
     parts: dict[str, Any] = {}
     for name, field in RigFile.model_fields.items():
@@ -246,7 +246,7 @@ def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
         except ValidationError as error:
             problems += of_validation(error, RigFile, (key,), (key,))
             wrong = {e["loc"][0] for e in error.errors() if e["loc"]}
-            if isinstance(data[key], dict):  # what is right in it still takes part in the checks across tables
+            if isinstance(data[key], dict):  # its valid keys still take part in the checks across tables
                 with suppress(ValidationError):
                     parts[key] = table.validate_python({k: v for k, v in data[key].items() if k not in wrong})
     known = [f.alias or name for name, f in RigFile.model_fields.items()]
@@ -258,7 +258,7 @@ def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
 
 @cache
 def _adapter(name: str) -> TypeAdapter[Any]:
-    """Of one table; building one takes longer than checking with it."""
+    """The type adapter of one table, built once: building takes longer than checking."""
     return TypeAdapter(RigFile.model_fields[name].rebuild_annotation())
 
 

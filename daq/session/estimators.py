@@ -46,7 +46,7 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
 
 
 def _in_thread(search: Callable[[], Any]) -> Callable[[], Any]:
-    """Run a search in a thread of its own; the function that is returned waits for it and gives its result."""
+    """Run a search in a separate thread; the returned function waits for its result."""
     found: list[Any] = []
 
     sys.setswitchinterval(min(sys.getswitchinterval(), TURN_S))

@@ -66,7 +66,7 @@ class Pipeline:
     Order of things: sinks get the raw readings, then the ring, then the estimator, then sinks its estimates. A sink
     that raises OSError is reported and kept; one that raises anything else is reported and left out from then on.
 
-    wake : called from another thread when estimates wait for `tick`; with it the estimator has a thread of its own, so
+    wake : called from another thread when estimates wait for `tick`; with it the estimator has a separate thread, so
     that a long solution does not delay the log. The estimates are the same.
     """
 

@@ -1,4 +1,4 @@
-"""A rig file as a simulated machine with its device: what `virtual:` and `rotorscope simulate` run."""
+"""A rig file as a simulated machine with its device, for `virtual:` and `rotorscope simulate`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BATCH_FRAMES = 256  # handed over at a time
 
 
 def complete(model: Model, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
-    """A model in which every value is known, and those that were not, by full name.
+    """The model with a value for every parameter, and the parameters that were assumed, by full name.
 
     Masses 0.2 kg (disc 0.5 kg); stiffness for 1125 Hz, or for the middle of the band if that is outside; 2 % damping;
     white forces for 10 m/s^2 rms of acceleration; effects of 4 % of the bearing force.
@@ -92,9 +92,9 @@ def _complete_use(model: Model, use: EffectUse, rate_hz: float, assumed: dict[st
 
 
 class Analogue:
-    """`source(n)` of a simulated device: the rig's motion and its sensors' own noise, SI.
+    """`source(n)` of a simulated device: motion of the rig and noise of the sensors, SI.
 
-    columns : which channel of the model each one is. An axial one (z) has noise alone: the model does not move so.
+    columns : channel of the model for each column. An axial channel (z) has noise only: the model has no such motion.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ def fault_rates(faults: Sequence[str]) -> dict[str, float]:
 
 
 def _column(rig: Rig, source: Rig, k: int) -> int:
-    """Which channel of the simulated model channel k of the rig is: the same measurement, else the same name."""
+    """Channel of the simulated model for channel k of the rig: with the same measurement, else the same name."""
     wanted = rig.model.channels[k]
     for i, c in enumerate(source.model.channels):
         if (c.place, c.kind) == (wanted.place, wanted.kind):

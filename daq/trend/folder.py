@@ -1,4 +1,4 @@
-"""A folder of segments as the sessions that made them, each read as one log."""
+"""The sessions of a folder of segments, each read as one log."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Beginning:
 
     @property
     def session(self) -> str:
-        """Which session the segment is of; one of its own if it is a plain log."""
+        """Name of the session of the segment; a plain log is a separate session."""
         return self.head.metadata.get(SEGMENTS_KEY, str(self.path))
 
     @property
     def number(self) -> int:
-        """Of the segment in its session, from 1."""
+        """Number of the segment in its session, from 1."""
         text = self.head.metadata.get(NUMBER_KEY, "1")
         return int(text) if text.isdecimal() else 1
 
@@ -88,7 +88,7 @@ class LoggedSession:
 
     @property
     def stop(self) -> int:
-        """Index of the first sample of the last segment: what lies behind is not known before it is read."""
+        """Index of the first sample of the last segment: its length is not known before it is read."""
         return self.parts[-1].first
 
     @property
@@ -123,7 +123,7 @@ class LoggedSession:
 
     @cached_property
     def notices(self) -> list[Notice]:
-        """What was said in the last segment."""
+        """The notices in the last segment."""
         return [entry for entry, _ in walk(self.parts[-1].path, Findings()) if isinstance(entry, Notice)]
 
     @property
@@ -138,7 +138,7 @@ class LoggedSession:
         return "" if lacking is None else f"lacks segment {lacking} of its session"
 
     def readings(self, joined: bool = True) -> Iterator[Reading]:
-        """What the link delivered, in order; what lies between two segments is a gap."""
+        """Readings of the link in order; missing samples between two segments are a gap."""
         stop: int | None = None
         reason = SCHEDULE_GAP if SCHEDULE_KEY in self.head.metadata else MISSING_GAP
         for part in self.parts:

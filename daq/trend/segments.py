@@ -1,4 +1,4 @@
-"""The log of a session in segments: each is a log of its own, and together they replay as one."""
+"""The log of a session in segments: each is a complete log, and together they replay as one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded CAN traffic as batches of frames: candump .log and Vector .asc by readers of ours, .blf, .mf4 by others."""
+"""Recorded CAN traffic as batches of frames: candump .log, Vector .asc and .blf, and .mf4."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BLF_FIRST_BUS = 1  # python-can counts the channels of a BLF file from 0, the fi
 
 
 def open_capture(path: str, names: Mapping[str, int] | None = None) -> Batches:
-    """Batches of a file, in the order of the file; names : of messages, for files that have those for numbers.
+    """Batches of a file, in the order of the file. names : message -> identifier, for files that name messages.
 
     Raises LinkOpenError | LinkUnavailable; LinkOpenError also with the first batch of a file that is of another kind.
     """
@@ -46,7 +46,7 @@ def open_capture(path: str, names: Mapping[str, int] | None = None) -> Batches:
 
 
 def _blf(file: Path, path: str) -> Batches:
-    """python-can's reader, on a handle of ours: its own stays open when a file is not what it seems."""
+    """python-can's reader on a handle that this function closes: its own stays open for a file of another kind."""
     log = logging.getLogger("can")  # what it says about each frame would fill the terminal: damage is counted
     if not log.handlers:
         log.addHandler(logging.NullHandler())

@@ -1,4 +1,4 @@
-"""A device of ours served on a link, for other programs to read."""
+"""A simulated device served on a link, for other programs to read."""
 
 from .serve import serve
 

@@ -61,8 +61,8 @@ def log_comparison(
 ) -> None:
     """Show the comparison with its layout.
 
-    comparison : None where no model of the bearings is judged; before : of the model before anything was added;
-    signal : measured spectra; seen : layers of a record that no model was asked about; target : an .rrd file, "spawn"
+    comparison : None where no model of the bearings is judged; before : of the first model, without additions;
+    signal : measured spectra; seen : layers of a record without a comparison; target : an .rrd file, "spawn"
     or a viewer's URL (viewer_target). Raises LinkError if there is no viewer at the URL.
     """
     import rerun as rr
@@ -99,7 +99,7 @@ def log_comparison(
 
 
 def connect(recording: Any, target: str) -> None:
-    """To a file, or to a viewer that is there or is started."""
+    """Connect to a file, or to a viewer that runs or is started."""
     import time
 
     from .process import START_S, VIEWER_PORT, answers, start_viewer
@@ -193,7 +193,7 @@ def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
 
 
 def unknown(diagnoses: Sequence[Json]) -> dict[str, Picture]:
-    """The shape of what no effect explains, of the last diagnosis that found one."""
+    """The shape of the force that no effect explains, from the last diagnosis with such a force."""
     shape = next((d["shape"] for d in reversed(diagnoses) if d.get("shape")), None)
     if shape is None:
         return {}

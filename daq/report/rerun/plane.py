@@ -119,7 +119,7 @@ class Plane:
 
 
 def mark_names(plane: Plane, marks: Sequence[tuple[float, str]]) -> rr.Points2D:
-    """The names of lines over the whole height, above the frame, neighbours in rows of their own."""
+    """The names of lines over the whole height, above the frame, neighbours in separate rows."""
     import rerun as rr
 
     marks = sorted(marks)

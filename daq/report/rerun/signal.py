@@ -12,7 +12,7 @@ INTEGRATIONS_TO_DISPLACEMENT = {"acceleration": 2, "velocity": 1, "displacement"
 def envelope(index: int, counts: NDArray[np.int32], width: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Minimum and maximum of every bin of `width` samples, as two rows a bin: (2 bins,) indices, (2 bins, channels).
 
-    Bins lie on multiples of `width` in absolute index; a part of one at either end makes a bin of its own. With
+    Bins lie on multiples of `width` in absolute index; a partial bin at either end is a separate bin. With
     width 1 the samples come back as they are.
     """
     n = len(counts)
