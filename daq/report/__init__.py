@@ -1,1 +1,1 @@
-"""What a person looks at: the HTML page, the terminal table, metrics."""
+"""Results for people: the HTML page, the terminal table, metrics."""

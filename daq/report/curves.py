@@ -25,7 +25,7 @@ AS_THEY_ARE = ("deg", "Hz", "s")  # units without prefixes
 
 
 def force_reach(curves: Sequence[Json]) -> float:
-    """How far the force axis goes, in N: all of the curves where they are known, and the usual band (0 without one)."""
+    """Limit of the force axis, N: it holds all known curves and the usual band (0 without one)."""
     widths = [
         floats(c["band_high"]) - floats(c["band_low"]) if c.get("band_high") and c.get("band_low")
         else 0.0 * floats(c["force"])
@@ -121,7 +121,7 @@ def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
 
 
 def shape(found: Json, number: int = 0) -> str:
-    """What an unknown effect looks like: force against the state that explains most."""
+    """Picture of an unknown effect: force against the state that explains most."""
     name, base = AXIS_OF_STATE.get(found["against"], (found["against"], ""))
     at, force = floats(found["at"]), floats(found["force"])
     x_gain, x_unit = scaled([found["at"]], base)

@@ -92,7 +92,7 @@ class MetricsServer(Collector):
             self._thread.join()
 
     def _shut_down(self) -> None:
-        """By itself the server looks twice a second whether it is to end, and whenever somebody connects."""
+        """End the server. It checks for its end twice a second, and at each connection."""
         waiting = threading.Thread(target=self._server.shutdown, daemon=True)
         waiting.start()
         while waiting.is_alive():

@@ -1,4 +1,4 @@
-"""The web server of the metrics. Whoever connects and says nothing, or not all of it, has few connections at a time:
+"""The web server of the metrics. The number of open connections is limited, also for clients that send no request:
 each is an open file and a thread, which the log and the links need too."""
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ class _Handler(WSGIRequestHandler):
     timeout = SILENT_S
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: the standard streams are the operator's."""
+        """Log nothing, because the standard streams are for the operator."""
 
 
 class FewAtATime(ThreadingMixIn, WSGIServer):
-    """A thread for each connection, and at most MOST of them."""
+    """Serves each connection in a thread, at most MAX_CONNECTIONS at a time."""
 
     daemon_threads = True
 
@@ -57,7 +57,7 @@ class FewAtATime(ThreadingMixIn, WSGIServer):
 
 
 def serve(registry: CollectorRegistry, port: int, host: str) -> tuple[WSGIServer, threading.Thread]:
-    """From now on, until its `shutdown`. Raises OSError, and OverflowError for a port that is none."""
+    """Start the server; it runs until its `shutdown`. Raises OSError, and OverflowError for a port that is none."""
     server = make_server(host, port, make_wsgi_app(registry), FewAtATime, handler_class=_Handler)
     thread = threading.Thread(target=server.serve_forever, name="metrics", daemon=True)
     thread.start()

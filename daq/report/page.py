@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a comparison, a diagnosis, an improvement: to send to a colleague.
+"""One self-contained HTML page of a comparison, a diagnosis or an improvement.
 
 The page needs no network and no script; pictures are inline SVG. It works from the `to_json()` of the results
 (contract.md), whose further keys it draws where they are there, all in SI units:
@@ -66,8 +66,8 @@ def render(
     """The page as text.
 
     signal : measured spectra; comparison : of the model as it is now, None where no model of the bearings is judged;
-    before : of the model before anything was added; diagnoses : of every model of the ladder, in order; notes : what
-    the improvement said; seen : layers of a record that no model was asked about, and what is `said` of it; facts :
+    before : of the first model, without additions; diagnoses : of every model of the ladder, in order; notes : of
+    the improvement; seen : layers of a record without a comparison, and its messages `said`; facts :
     log, rig, length of the record ... as the head of the page shows them.
     """
     from jinja2 import Environment, StrictUndefined
@@ -122,12 +122,12 @@ def measured_units(signal: Json) -> dict[str, str]:
 
 
 def looked_at(*comparisons: Json) -> list[str]:
-    """The channels of comparisons; of a clipped one a model with the fault draws no laws."""
+    """The channels of comparisons. A model with a sensor fault draws no laws for a clipped channel."""
     return list(dict.fromkeys(c["channel"] for one in comparisons for c in one.get("curves", ())))
 
 
 def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> dict[str, Any]:
-    """What the page shows of one diagnosis. number : on the ladder, from 0."""
+    """Content of the page for one diagnosis. number : on the ladder, from 0."""
     past = number + 1 < len(ladder)
     rows = worth_showing(diagnosis)
     now = "What is left" if number else "What is missing"
@@ -141,7 +141,7 @@ def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> di
         "effect": described(diagnosis["verdict"]),
         "ranking": rows,
         "runner_up": words.runner_up(diagnosis) if diagnosis["ranking"] else None,
-        # of an improvement, those of the last model: the others may have hidden them
+        # of an improvement, those of the last model: missing effects may have hidden them before
         "limits": [r for r in diagnosis["ranking"] if r.get("detectable_from")] if number == of - 1 else [],
         "picture": figures.ranking(rows, number) if rows else None,
         "shape": curves.shape(diagnosis["shape"], number) if diagnosis.get("shape") else None,

@@ -1,4 +1,4 @@
-"""What a vibration analyst looks at first: spectra of the channels and of their squared envelopes, with marks."""
+"""Spectra of the channels and of their squared envelopes, with marks at tones and defect frequencies."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def signal_spectra(model: Model, y: Array, rate_hz: float, diagnosis: Json) -> d
     Parameters
     ----------
     model : Model
-        The rig; of it are used the channels, the band and the geometry of the bearing.
+        The rig. Its channels, band and bearing geometry are used.
     y : (n, channels) float64
         Samples in SI units; NaN where one is missing.
     rate_hz : float
@@ -191,5 +191,5 @@ def thinned(
 
 
 def readable(marks: Sequence[Mark]) -> list[list[Any]]:
-    """As many labels as can be read, the first ones first, in the order of frequency."""
+    """The first marks, as many as are readable, in the order of frequency."""
     return [list(mark) for mark in sorted(marks[:MAX_MARKS])]

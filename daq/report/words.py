@@ -1,4 +1,4 @@
-"""The report in plain language: what was found, how sure it is, what to do next."""
+"""The report in plain language: findings, their certainty, and the next steps."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
 
 
 def heading_of_map(comparison: Json | None) -> str:
-    """Over what the model leaves: that it fails is said of a model that is judged, and not adequate."""
+    """Heading of the residual map; it calls the model inadequate only if it is judged so."""
     if comparison is None or comparison["adequate"] or message_text(comparison, {NOT_JUDGED, NOT_CONCLUSIVE}):
         return "What the model leaves over"
     return "Where the model fails"
@@ -119,7 +119,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
 
 
 def is_of_the_model(diagnosis: Json) -> bool:
-    """Whether the verdict says what the model of the bearings lacks; else it says what channels and spectra show."""
+    """Whether the verdict is about the model of the bearings, and not about channels and spectra."""
     judged = diagnosis.get("bearing", {}).get("judged", True)
     best = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
     return bool(judged and (best is None or best["missing_force_before_percent"]))
@@ -136,6 +136,6 @@ def listed(names: Sequence[str]) -> str:
 
 
 def detectable(row: Json) -> str:
-    """How strong the effect would have to be to be seen in this record."""
+    """The weakest strength of the effect that this record would show."""
     limit = row.get("detectable_from")
     return parameter({"value": limit["value"], "unit": limit["unit"]}, digits=2) if limit else ""

@@ -1,4 +1,4 @@
-"""The account of one stream: which samples came, which are lost, and nothing twice."""
+"""The account of one stream: received and lost samples, each counted once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Ledger:
         self.gaps: list[Gap] = []
 
     def limit_to(self, more: int) -> None:
-        """Let through so many samples from here on, lost ones included."""
+        """Limit the stream to so many samples from here on, with lost ones."""
         self._limit = more + (0 if self.first is None else self.stop - self.first)
 
     @property
@@ -36,7 +36,7 @@ class Ledger:
         return self._limit is not None and self.first is not None and self.stop - self.first >= self._limit
 
     def accept(self, reading: Reading) -> list[Reading]:
-        """The reading as it may go on: whole, trimmed, with a gap before it, or not at all."""
+        """The reading as it is passed on: unchanged, trimmed, with a gap before it, or none."""
         if isinstance(reading, Block):
             return self._block(reading)
         if isinstance(reading, Gap):
@@ -69,7 +69,7 @@ class Ledger:
         return [*before, self._note(Gap(start, stop - start, gap.reason))]
 
     def _begin(self, index: int) -> list[Reading]:
-        """The gap that a driver owed us."""
+        """The gap that a driver left out."""
         if self.first is None:
             self.first = self.stop = index
         stop = self._end(index)

@@ -27,12 +27,12 @@ from .names import ALARM_CODE, NUMBER_KEY, SCHEDULE_KEY, SEGMENTS_KEY, marked, s
 from .retention import in_words, remove_old, total_bytes
 from .sizes import Cut, Keep
 
-RETRY_S = 1.0  # a segment that could not be opened is tried again
-KEEP_EVERY_S = 60.0  # also without a new segment: somebody else may fill the disk
+RETRY_S = 1.0  # pause before a segment that could not be opened is tried again
+KEEP_EVERY_S = 60.0  # old segments are removed this often without a new one: other programs may fill the disk
 MAX_EARLY = 1000  # notices that wait for the next segment
-MAX_CLOSING = 3  # segments that are being closed: of more the disk stalls, and the one that is written goes on
-UNCLOSED_SEGMENTS = 2  # the last segments of a folder: after a crash they are asked for an alarm
-CLOSE_S = 30.0  # to finish what is to be closed and removed at the end
+MAX_CLOSING = 3  # segments that are being closed: with more, the disk stalls and the present segment continues
+UNCLOSED_SEGMENTS = 2  # the last segments of a folder, which are searched for an alarm after a crash
+CLOSE_S = 30.0  # to close and remove segments at the end
 
 
 @dataclass(slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class _Part:
 
 @dataclass(slots=True, kw_only=True)
 class _State:
-    """Of the stream so far."""
+    """State of the stream so far."""
 
     session: Session
     info: Info
@@ -139,7 +139,7 @@ class SegmentedLog:
     # -- where a segment begins and ends ----------------------------------------------------------------------------
 
     def _other(self, reading: Reading) -> None:
-        """What is no block goes where the samples go; a notice of an alarm marks its segment."""
+        """Store a reading other than a block in the present segment; a notice of an alarm marks its segment."""
         state = self._state
         if state is None:
             return
@@ -153,7 +153,7 @@ class SegmentedLog:
             state.early.append(reading)
 
     def _mark_alarm(self, state: _State) -> None:
-        """The segment with the alarm and the one before stay; a schedule stores what follows."""
+        """Keep the segment with the alarm and the one before; a schedule stores the following samples."""
         if self._part is not None:
             self._part.alarm = True
         self._chores.put(self._mark_before)
@@ -185,7 +185,7 @@ class SegmentedLog:
                 return
 
     def _end(self, state: _State, part: _Part, block: Block) -> int:
-        """Where a segment ends: a multiple of the estimator's block, or the end of this block if not before it."""
+        """End of a segment: a multiple of the estimator's block, or the end of this block if that comes first."""
         rows, stop = self._block_rows(state.info.rate_hz), block.index + len(block.counts)
         ends = [] if part.end is None else [part.end]
         if self._cut.every_s is not None:
@@ -198,11 +198,13 @@ class SegmentedLog:
         return min(stop, at) if at > part.first else stop
 
     def _turn(self, state: _State, part: _Part, block: Block) -> None:
-        """A segment has ended before the first row of a block."""
+        """End the present segment before the first row of a block, and open the next one."""
         if not self._wanted(state, block.index):
             self._end_part()
         elif part.writer.faulty or len(self._closing) >= MAX_CLOSING or not self._open(state, block):
-            part.end = block.index + round(RETRY_S * state.info.rate_hz)  # it goes on; a new one is tried again then
+            part.end = block.index + round(
+                RETRY_S * state.info.rate_hz
+            )  # the present segment continues until a new one is tried again
 
     def _period(self, state: _State) -> tuple[int, int]:
         """Rows of a period of the schedule, and those of it that are stored: whole blocks."""
@@ -227,7 +229,7 @@ class SegmentedLog:
         return max(origin + (first - origin) // every * every + length, state.forced)
 
     def _open(self, state: _State, block: Block) -> bool:
-        """Begin a segment with the first row of a block, and end the one before; False if it cannot be had now."""
+        """Begin a segment with the first row of a block, and end the one before; False if it cannot be opened now."""
         if not self._live:
             self._chores.wait()
         elif self._clock.now_ns() < self._retry_ns:
@@ -254,7 +256,7 @@ class SegmentedLog:
         return True
 
     def _introduce(self, state: _State, writer: LogWriter, start_ns: int) -> None:
-        """What makes the segment complete in itself: session, description, clock, and what was said before it."""
+        """Write session, description, clock and earlier notices, which make the segment complete in itself."""
         about = {SEGMENTS_KEY: self._id, NUMBER_KEY: str(state.number), "started": utc_text(start_ns)}
         if self._cut.every_s is not None:
             about[SCHEDULE_KEY] = f"{self._cut.for_s:g} s of {self._cut.every_s:g} s"
@@ -275,7 +277,7 @@ class SegmentedLog:
 
     def _close_part(self, part: _Part) -> None:
         if part.writer.faulty:
-            self._remove_old()  # it makes room for the end of this one
+            self._remove_old()  # this makes room for the end of the present segment
         part.writer.close()
         health = part.writer.health()
         self._notices.extend(health.notices)
@@ -342,7 +344,7 @@ def writable(folder: Path) -> None:
 
 
 def mark_unclosed(folder: Path) -> None:
-    """Name what a crash left unnamed: of the last segments those that hold an alarm."""
+    """Name those of the last segments that hold an alarm, which a crash left unnamed."""
     for segment in segments(folder)[-UNCLOSED_SEGMENTS:]:
         if (
             segment.alarm

@@ -145,7 +145,7 @@ def _event_json(row: Row) -> dict[str, Any]:
 
 
 def trend_folder(folder: Path) -> Path:
-    """Where the trend lies: in a folder of segments, or the folder itself. Raises LogError if there is none."""
+    """The folder of the trend: within a folder of segments, or the folder itself. Raises LogError if there is none."""
     for place in (folder / TREND_FOLDER, folder):
         if place.is_dir() and (days_of(place, DAY_SUFFIX) or days_of(place, STREAM_SUFFIX)):
             return place
@@ -174,14 +174,14 @@ def read_trend(folder: Path, since: str | None = None, machine: str | None = Non
     try:
         if is_results(folder):
             rows = results_rows(folder, machine)
-            out = _begun(folder, [rows], since)
+            out = _without_rows(folder, [rows], since)
             _take(out, rows)
             return out
         place = trend_folder(folder)
         if machine is not None:
             raise ConfigError(f"--machine {machine}: {folder} is the trend of one; leave it out")
         days = sorted({*days_of(place, DAY_SUFFIX), *days_of(place, STREAM_SUFFIX)})
-        out = _begun(place, [read_day(place, day) for day in dict.fromkeys((days[0], days[-1]))], since)
+        out = _without_rows(place, [read_day(place, day) for day in dict.fromkeys((days[0], days[-1]))], since)
         for day in days:
             if day >= (datetime.fromtimestamp(out.first_ns / 1e9, UTC) - timedelta(days=1)).strftime("%Y-%m-%d"):
                 _take(out, read_day(place, day))
@@ -190,8 +190,8 @@ def read_trend(folder: Path, since: str | None = None, machine: str | None = Non
     return out
 
 
-def _begun(place: Path, tables: list[Any], since: str | None) -> Trend:
-    """A trend without its rows. tables : those with the first and the last one."""
+def _without_rows(place: Path, tables: list[Any], since: str | None) -> Trend:
+    """A trend without its rows. tables : those with the first and the last row."""
     known = [end for end in map(_ends, tables) if end is not None]
     if not known:
         raise LogError(f"{place}: the trend holds no row with a date")

@@ -30,9 +30,9 @@ Json = Mapping[str, Any]
 
 
 class TrendStore:
-    """A sink. Nothing of it is computed per sample, and the disk is a thread's own.
+    """A sink. It computes nothing per sample, and a separate thread writes to the disk.
 
-    folder : of the trend. live : what the disk cannot take must not hold acquisition. wall_offset_ns : Unix time minus
+    folder : of the trend. live : a disk that stalls must not delay acquisition. wall_offset_ns : Unix time minus
     host time of the readings where they are not of now.
     """
 
@@ -74,24 +74,24 @@ class TrendStore:
                 )
 
     def estimate(self, estimate: Estimate) -> None:
-        """The last one of each minute, by its own time: in a fast replay many come at once."""
+        """Take the last estimate of each minute of data: in a fast replay many come at once."""
         before, self._estimate = self._estimate, estimate
         if before is not None and self._time_ns(before) // self._every_ns != self._time_ns(estimate) // self._every_ns:
             self._rows += estimate_rows(before, self._time_ns(before))
 
     def layers(self, stop: int, seen: Json) -> None:
-        """What the layers of a diagnosis say of the samples before `stop`; called from any thread."""
+        """Take the layers of a diagnosis of the samples before `stop`; called from any thread."""
         self._layers.append((stop, seen))
 
     def alarm(self, state: AlarmState) -> None:
-        """An alarm begins or is over."""
+        """Take the new state of an alarm."""
         if state.since_ns:
             kind = "alarm_raised" if state.state == "alarm" else "alarm_over"
             own = {"value": state.value, "sd": state.sd, "unit": state.unit, "text": state.text}
             self._rows.append(Row(state.since_ns, kind, state.what, **own))  # type: ignore[arg-type]
 
     def status(self, status: Status) -> None:
-        """Once a second: alarms and warnings do not wait for the minute."""
+        """Write alarms and warnings once a second, without waiting for the minute."""
         rows, self._rows = self._rows, []
         self._hand_on(rows)
 
