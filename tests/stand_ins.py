@@ -104,7 +104,7 @@ class MomentEstimator:
 
 @dataclass
 class Recorder:
-    """A sink that keeps everything, or raises what it is told to."""
+    """A sink that keeps everything, or raises a given error."""
 
     calls: list[tuple[str, object]] = field(default_factory=list)
     fail: dict[str, BaseException] = field(default_factory=dict)

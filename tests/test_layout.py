@@ -263,7 +263,7 @@ def test_the_estimator_has_seven_rooms_and_five_files() -> None:
 
 
 def test_public_names_of_the_rooms_have_numpy_docstrings() -> None:
-    """Where names of a room's `__init__` are defined. The laws of effects/ are told by their fields."""
+    """Where names of a room's `__init__` are defined. The laws of effects/ are recognised by their fields."""
     files = set()
     for path, tree in sources("estimator").items():
         if path.name == "__init__.py":

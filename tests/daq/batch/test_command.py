@@ -1,4 +1,4 @@
-"""The command batch on a Dask cluster in this process: rows for all, only what is missing, what the user is told."""
+"""The command batch on a Dask cluster in this process: rows for all, only missing ones, and texts for the user."""
 
 from __future__ import annotations
 
@@ -112,10 +112,10 @@ def test_windows_are_a_trend_at_their_own_times(
     simulate = ("simulate", ONE_CAP, "--out", "log.mcap", "--seconds", "3", "--speed", "max", "--quiet")
     assert main(list(simulate)) == 0
     asked(capsys, "log.mcap", "--rig", ONE_CAP, "--do", "severity", "--window", "1s", "--scheduler", scheduler)
-    begun = read_log("log.mcap").started
+    started = read_log("log.mcap").started
     times = sorted(set(results_rows(folder / "out")["time"].to_pylist()))
-    assert begun is not None
-    assert [(time - begun).total_seconds() for time in times] == pytest.approx([0.0, 1.0, 2.0], abs=2e-3)
+    assert started is not None
+    assert [(time - started).total_seconds() for time in times] == pytest.approx([0.0, 1.0, 2.0], abs=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_ctrl_c_keeps_what_is_done(folder: Path) -> None:
     same(folder, "interrupted")
 
 
-def test_ctrl_c_while_the_workers_start_is_heard(folder: Path) -> None:
+def test_ctrl_c_while_the_workers_start_is_handled(folder: Path) -> None:
     process = batch(folder, "early", "--scheduler", "local:2")
     wait_for(lambda: psutil.Process(process.pid).children(recursive=True))
     for each in (psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)):

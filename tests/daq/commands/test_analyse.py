@@ -158,9 +158,9 @@ def test_of_a_complete_model_it_is_said_what_the_record_could_not_have_shown() -
         "missing_force_before_percent": 0.0, "missing_force_after_percent": 0.0,
     }  # fmt: skip
     limit = {"detectable_from": {"value": 0.008, "unit": "N"}}
-    told = {"verdict": "complete", "ranking": [row | limit], "messages": ()}
-    assert BELOW_DETECTION in diagnosis_text(told)
-    assert BELOW_DETECTION not in diagnosis_text(told | {"ranking": [row]})
-    assert BELOW_DETECTION not in diagnosis_text(told | {"verdict": "coulomb"})
+    diagnosis = {"verdict": "complete", "ranking": [row | limit], "messages": ()}
+    assert BELOW_DETECTION in diagnosis_text(diagnosis)
+    assert BELOW_DETECTION not in diagnosis_text(diagnosis | {"ranking": [row]})
+    assert BELOW_DETECTION not in diagnosis_text(diagnosis | {"verdict": "coulomb"})
     apart = "coulomb or stribeck: the record hardly separates these (3 nats)"
-    assert apart in diagnosis_text(told | {"verdict": "coulomb", "separates": apart})
+    assert apart in diagnosis_text(diagnosis | {"verdict": "coulomb", "separates": apart})

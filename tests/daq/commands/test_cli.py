@@ -334,9 +334,9 @@ def test_a_signal_ends_a_run_with_a_complete_log(
 ) -> None:
     log = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "virtual:", "--out", str(log)]
-    heard = lambda: signal.signal(number, signal.SIG_DFL)  # noqa: E731 - also where these tests run under nohup
+    restore_default = lambda: signal.signal(number, signal.SIG_DFL)  # noqa: E731 - also where these tests run under nohup
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=restore_default
     ) as process:
         until(lambda: log.exists() and log.stat().st_size > 200_000)
         started = time.monotonic()

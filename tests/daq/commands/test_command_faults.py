@@ -70,8 +70,8 @@ def test_a_link_of_another_kind_than_the_devices_is_said(
         threading.Thread(target=talk).start()
         url = f"{kind}:socket://127.0.0.1:{listener.getsockname()[1]}"
         assert main(["run", str(rig), "--link", url, "--seconds", "0.5"]) == 3
-    assert f"rotorscope: {url}: " in (told := capsys.readouterr().err)
-    assert said in told.splitlines()[-1]
+    assert f"rotorscope: {url}: " in (printed := capsys.readouterr().err)
+    assert said in printed.splitlines()[-1]
 
 
 # What a device or a link can do, when (in frames of 64 samples, 400 a second), and what the log then says.
@@ -379,7 +379,7 @@ def test_a_program_that_was_suspended_says_so_and_what_it_cost(rig: Path, tmp_pa
 
 
 def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Path) -> None:
-    """A served device and the metrics, each in a process of its own, neither told where to listen."""
+    """A served device and the metrics, each in a separate process, neither given an address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     serving = [sys.executable, "-m", "daq", "simulate", str(rig), "--serve", "serial:socket://:0"]

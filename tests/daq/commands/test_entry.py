@@ -152,7 +152,7 @@ main()
 
 
 def test_the_end_does_not_wait_for_a_thread_that_still_computes() -> None:
-    """The rolling estimator's, after the stop: Python waits for what a pool has begun."""
+    """The rolling estimator's, after the stop: Python waits for what a pool has started."""
     command = [sys.executable, "-c", STUCK, "effects", "--json", "-"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
@@ -182,7 +182,7 @@ def write_columns(path: Path) -> Path:
     return path
 
 
-def test_a_name_that_is_too_long_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_that_is_too_long_is_reported_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = str(write_columns(tmp_path / "a.npz"))
     assert main(["import", good, "--rig", str(RIG), "--out", 300 * "a" + ".mcap"]) == 4
     assert main(["import", 300 * "a" + ".npz", "--rig", str(RIG), "--out", "a.mcap"]) == 4

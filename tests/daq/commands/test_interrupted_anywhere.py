@@ -80,8 +80,8 @@ class Interrupter:
     def _step(self, _frame: FrameType, event: str, _what: Any) -> Any:
         if event in ("line", "opcode"):
             self.steps += 1
-            heard = signal.getsignal(self._number) is not signal.SIG_DFL  # else nothing is begun yet, or all is done
-            if self.steps == self._at and heard:
+            handled = signal.getsignal(self._number) is not signal.SIG_DFL  # else nothing is begun yet, or all is done
+            if self.steps == self._at and handled:
                 signal.raise_signal(self._number)
         return self._step
 
@@ -94,7 +94,7 @@ def steps(run: Callable[[], object]) -> int:
 
 @pytest.fixture
 def default_signals() -> Iterator[None]:
-    """As a program of its own has them, and SIGINT heard."""
+    """As a separate program has them, with SIGINT handled."""
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

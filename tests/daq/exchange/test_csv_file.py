@@ -112,11 +112,11 @@ def test_dates_of_stamps_heads_and_our_own_exports(tmp_path: Path) -> None:
     assert record.rate_hz == 100.0
     assert record.started_ns == started
     assert read(tmp_path, table("%.6f")).started_ns is None
-    begun = date_ns("2024-05-31 13:05:00")  # of this computer's zone
+    start_ns = date_ns("2024-05-31 13:05:00")  # of this computer's zone
     days = rows(lambda k: f"31.05.2024;13:05:{k / 100:05.2f}", "Date;Time;x;y")
-    assert read(tmp_path, days).started_ns == begun
+    assert read(tmp_path, days).started_ns == start_ns
     head = "LabVIEW Measurement\t\nDate\t2024/05/31\nTime\t13:05:00\n***End_of_Header***\t\n"
-    assert read(tmp_path, head + table("%.6f", "\t", "X_Value,x,y")).started_ns == begun
+    assert read(tmp_path, head + table("%.6f", "\t", "X_Value,x,y")).started_ns == start_ns
 
 
 @pytest.mark.promise("doubtful tables", "`1,234`, decimal commas between commas and others", "refused with the line")

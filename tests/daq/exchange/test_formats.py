@@ -248,8 +248,8 @@ def test_the_date_of_a_broadcast_wave_file(tmp_path: Path) -> None:
     whole = (tmp_path / "a.wav").read_bytes()
     head = bytes(320) + b"2024-05-31" + b"11:05:00" + bytes(264)
     (tmp_path / "a.wav").write_bytes(whole[:12] + b"bext" + len(head).to_bytes(4, "little") + head + whole[12:])
-    begun = datetime(2024, 5, 31, 11, 5).astimezone()  # without a zone: of this computer's
-    assert read(tmp_path / "a.wav").started_ns == round(begun.timestamp()) * 10**9
+    start = datetime(2024, 5, 31, 11, 5).astimezone()  # without a zone: of this computer's
+    assert read(tmp_path / "a.wav").started_ns == round(start.timestamp()) * 10**9
 
 
 def test_hdf5_and_matlab_7_3(tmp_path: Path) -> None:

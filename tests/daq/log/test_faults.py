@@ -315,7 +315,7 @@ def test_the_log_is_moved_while_it_is_written(tmp_path: Path, record_property: P
     record_property("reliability", f"{row} | 0 samples lost")
 
 
-def test_a_log_that_is_out_of_reach_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_is_out_of_reach_is_reported_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As behind an unmounted disk, which a test may not do: the file lives, and has no name that leads to it."""
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(50, 0.01)
@@ -346,7 +346,7 @@ def test_another_program_cuts_the_log(tmp_path: Path, record_property: Property)
     record_property("reliability", f"{row} | {lost} of {feeder.index} samples lost, what came afterwards is there")
 
 
-def test_a_cut_between_two_writes_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cut_between_two_writes_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second makes the file as long as it should be, with a hole in it."""
     file = LogFile(tmp_path / "a.mcap")
     write = os.pwrite

@@ -50,10 +50,10 @@ def diagnosis() -> dict[str, Any]:
 
 
 def test_the_layers_are_a_few_lines_in_their_order(diagnosis: dict[str, Any]) -> None:
-    told = lines(diagnosis, {"de": "m/s^2"})
-    assert [name for name, _ in told if name] == ["record", "machine", "structure", "bearing"]
-    assert len(told) <= 8
-    text = "\n".join(line for _, line in told)
+    shown = lines(diagnosis, {"de": "m/s^2"})
+    assert [name for name, _ in shown if name] == ["record", "machine", "structure", "bearing"]
+    assert len(shown) <= 8
+    text = "\n".join(line for _, line in shown)
     for words in (
         "rms 1.36 m/s²", "de spikes", "1796 ± 0.6 rpm", "1X 29.9 Hz", "mains 100 Hz", "and 15 others",
         "BPFO strikes: order 3.585 (slip +0.1 %)", "3000 ± 9.0 Hz (damping 2 %, the bearing's)",

@@ -67,8 +67,8 @@ def test_a_unit_of_a_dbc_becomes_si(
     log = read_log(path)
     assert [s.unit for s in log.info.signals] == ["m/s^2"]
     np.testing.assert_allclose(log.samples()[:, 0], COUNTS * 1e-3 * factor, rtol=1e-12)
-    told = 'x: the DBC says "furlong", which is no unit known here: taken as g' in capsys.readouterr().err
-    assert told is (dbc == "furlong")
+    notices = 'x: the DBC says "furlong", which is no unit known here: taken as g' in capsys.readouterr().err
+    assert notices is (dbc == "furlong")
     assert main(["export", str(path), "--to", str(tmp_path / "x.npz")]) == 0
 
 
@@ -85,11 +85,11 @@ def test_another_quantity_than_the_rig_files_gives_no_estimate(
 
 
 def test_a_device_that_says_another_quantity_gives_no_estimate() -> None:
-    info, sink, told = info_of(paper_rig()), Recorder(), list[Notice]()
+    info, sink, notices = info_of(paper_rig()), Recorder(), list[Notice]()
     speeds = Info(tuple(type(s)(s.name, "m/s", s.scale) for s in info.signals), info.rate_hz)
     readings = [[speeds], *([vibration(512 * k, 512)] for k in range(60))]
     driver = ScriptedDriver(readings, "capture")
-    summary = acquire_from(paper_rig(), driver, [sink], notify=told.append, make=MomentEstimator)
-    assert [n.code for n in told] == ["no_estimate"]
+    summary = acquire_from(paper_rig(), driver, [sink], notify=notices.append, make=MomentEstimator)
+    assert [n.code for n in notices] == ["no_estimate"]
     assert "b1x comes in m/s, and is acceleration in the rig file" in summary.problems[0]
     assert (summary.samples, summary.last_estimate) == (60 * 512, None)

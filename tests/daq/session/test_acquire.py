@@ -137,13 +137,13 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length() -> None:
     assert recorder.of("close") == [None]
 
 
-def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told() -> None:
-    told: list[Notice] = []
+def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_reported() -> None:
+    notices: list[Notice] = []
     slow = ScriptedDriver(endless(pause_s=0.04), ends=False)  # a quarter of its rate
-    summary = acquire_from(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator, grace_s=0.2)
+    summary = acquire_from(RIG, slow, [], seconds=0.4, notify=notices.append, make=MomentEstimator, grace_s=0.2)
     assert 0.0 < summary.seconds < 0.4
-    assert [n.code for n in told] == ["short"]
-    assert "s of data came in 0.6 s, where 0.4 s were asked for" in told[0].text
+    assert [n.code for n in notices] == ["short"]
+    assert "s of data came in 0.6 s, where 0.4 s were asked for" in notices[0].text
 
 
 def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path: Path) -> None:
@@ -281,10 +281,10 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     """The reader goes on; what the queue had to drop is a gap with its exact indices, in log, summary and status."""
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(Slow, "over", False)
-    told: list[bool] = []
+    over: list[bool] = []
     summary = acquire_from(
         RIG, ScriptedDriver(flood()), [LogWriter(path)], make=Slow,
-        notify=lambda notice: told.append(Slow.over) if notice.code == "overflow" else None,
+        notify=lambda notice: over.append(Slow.over) if notice.code == "overflow" else None,
         queue_bytes=2 << 20, busy_blocks=8,
     )  # fmt: skip
     log = read_log(path)
@@ -295,9 +295,9 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     assert log.lost_samples == summary.lost_samples
     assert log.last_status is not None
     assert log.last_status.dropped["reader"] == summary.lost_samples
-    assert told[0] is False  # to the operator at once, while the estimator still stalls
-    assert len(told) <= 2  # and what came since, at the end
-    assert [n.code for n in log.notices].count("overflow") == len(told)
+    assert over[0] is False  # to the operator at once, while the estimator still stalls
+    assert len(over) <= 2  # and what came since, at the end
+    assert [n.code for n in log.notices].count("overflow") == len(over)
     counts = log.counts()
     there = counts[:, 0] != np.iinfo(np.int32).min
     np.testing.assert_array_equal(counts[there], vibration(0, 409_600).counts[: len(counts)][there])
@@ -348,14 +348,14 @@ def test_a_hanging_estimator_does_not_hold_the_stop(tmp_path: Path, record_prope
     assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
-def test_a_slow_or_broken_sink_is_told_and_the_others_have_all(tmp_path: Path) -> None:
-    told: list[Notice] = []
+def test_a_slow_or_broken_sink_is_reported_and_the_others_have_all(tmp_path: Path) -> None:
+    notices: list[Notice] = []
     broken = Recorder(fail={"readings": RuntimeError("viewer gone")})
     path = tmp_path / "a.mcap"
     driver = ScriptedDriver(finite(50_000), "capture")
-    summary = acquire_from(RIG, driver, [broken, LogWriter(path)], make=MomentEstimator, notify=told.append)
+    summary = acquire_from(RIG, driver, [broken, LogWriter(path)], make=MomentEstimator, notify=notices.append)
     assert read_log(path).n_samples == 50_000
-    assert [n.code for n in told] == ["sink_failed"]
+    assert [n.code for n in notices] == ["sink_failed"]
     assert "viewer gone" in summary.problems[0]
 
 
@@ -379,8 +379,8 @@ def test_five_devices_at_once_and_two_of_them_fail(tmp_path: Path, record_proper
         Device(n, RIG, (Shut if n == "5" else ScriptedDriver)(batches(n)), [LogWriter(tmp_path / f"{n}.mcap")])
         for n in "12345"
     ]
-    told: list[tuple[str, str]] = []
-    outcome = acquire_all(devices, make=MomentEstimator, notify=lambda name, notice: told.append((name, notice.code)))
+    codes: list[tuple[str, str]] = []
+    outcome = acquire_all(devices, make=MomentEstimator, notify=lambda name, notice: codes.append((name, notice.code)))
     assert isinstance(outcome["3"], RuntimeError)
     assert isinstance(outcome["5"], LinkOpenError)
     for name in "124":

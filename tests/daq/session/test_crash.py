@@ -49,10 +49,10 @@ def kill_after(log: Path, seconds: float) -> float:
     np.testing.assert_array_equal(counts, vibration(0, len(counts)).counts)
     last_ns = max(reading.t_host_ns for reading in recording.readings() if hasattr(reading, "counts"))
     mended = log.with_name("mended.mcap")
-    told = recover(log, mended)
+    recovery = recover(log, mended)
     np.testing.assert_array_equal(read_log(mended).counts(), counts)
     assert read_log(mended).complete
-    assert told.samples == len(counts)
+    assert recovery.samples == len(counts)
     if recording.estimates:
         assert replay_into(read_log(mended), check=True, make=MomentEstimator).identical
     return (killed_ns - last_ns) / 1e9

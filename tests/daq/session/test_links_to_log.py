@@ -150,7 +150,7 @@ def test_the_clock_of_the_host_is_set_forwards_and_back(
     tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """The place where the product reads time says other times; with a real clock: tests/guest/test_host.py."""
-    clock, told, stop, path = SetClock(), Recorder(), threading.Event(), tmp_path / "a.mcap"
+    clock, recorder, stop, path = SetClock(), Recorder(), threading.Event(), tmp_path / "a.mcap"
     device = ramp_device("serial16", seconds=None)
 
     class Begin(Recorder):
@@ -159,7 +159,7 @@ def test_the_clock_of_the_host_is_set_forwards_and_back(
                 clock.begin_ns = clock.now_ns()
 
     def notify(notice: Notice) -> None:
-        told.readings([notice])
+        recorder.readings([notice])
         if notice.code == "wall_clock_set" and "-17" in notice.text:
             stop.set()
 
@@ -174,7 +174,7 @@ def test_the_clock_of_the_host_is_set_forwards_and_back(
     assert times == sorted(times)
     span_s = (times[-1] - times[0]) / 1e9
     assert span_s == pytest.approx(log.seconds, abs=1.0)
-    moved = [r.text for r in told.delivered if isinstance(r, Notice) and r.code == "wall_clock_set"]
+    moved = [r.text for r in recorder.delivered if isinstance(r, Notice) and r.code == "wall_clock_set"]
     assert ["+36" in moved[0], "-17" in moved[-1]] == [True, True]
     assert log.started is not None
     assert abs(log.started.timestamp() - time.time()) < PATIENCE_S + span_s

@@ -35,7 +35,7 @@ def named(effect: str = "clearance") -> dict[str, Any]:
     return {"verdict": effect, "ranking": [row, row | {"effect": "quintic"}]}
 
 
-class Told:
+class NamingRun:
     """A naming sink fed with estimates twice a second, and what it asked and said."""
 
     def __init__(self, found: dict[str, Any] | None = None) -> None:
@@ -65,70 +65,70 @@ OPEN = {"missing_force_percent": 0.8, "missing_force_percent_quintic": 0.7, "mis
 
 
 def test_it_is_said_at_once_and_named_from_what_comes_after() -> None:
-    told = Told()
-    assert told.feed(60, SOUND) == []
-    assert told.feed(1, OPEN) == ["missing_force"]
-    assert told.feed(20, OPEN) == ["effect_named"]
-    (question,) = told.asked
+    watched = NamingRun()
+    assert watched.feed(60, SOUND) == []
+    assert watched.feed(1, OPEN) == ["missing_force"]
+    assert watched.feed(20, OPEN) == ["effect_named"]
+    (question,) = watched.asked
     assert question.y.shape == (7000, 4)
     assert question.y[0, 0] == 0.5 * (60_500 % 30_000)
-    assert told.feed(100, OPEN) == []
+    assert watched.feed(100, OPEN) == []
 
 
 def test_something_else_is_said_anew_and_what_is_known_goes_into_the_model() -> None:
-    told = Told()
-    told.feed(30, OPEN)
-    told.found = named("coulomb")
-    assert told.feed(60, {k: 3 * v for k, v in OPEN.items()}) == ["missing_force", "effect_named"]
-    assert [q.known for q in told.asked] == [(), (("clearance", ("bearing1.x",)),)]
+    watched = NamingRun()
+    watched.feed(30, OPEN)
+    watched.found = named("coulomb")
+    assert watched.feed(60, {k: 3 * v for k, v in OPEN.items()}) == ["missing_force", "effect_named"]
+    assert [q.known for q in watched.asked] == [(), (("clearance", ("bearing1.x",)),)]
 
 
 def test_a_jump_of_the_parameters_is_said_and_a_gap_is_none() -> None:
-    told = Told({"verdict": "complete", "ranking": []})
-    told.feed(20, SOUND, 20_000.0)
-    assert told.feed(20, SOUND, 5_000.0, kL=1.1e7) == ["parameters_changed", "model_complete"]
-    told.feed(20, SOUND, 20_000.0)
-    told.sink.readings([Gap(told.index, 30_000, "sequence")])
-    told.index += 30_000
-    assert told.feed(20, SOUND, 5_000.0) == []
+    watched = NamingRun({"verdict": "complete", "ranking": []})
+    watched.feed(20, SOUND, 20_000.0)
+    assert watched.feed(20, SOUND, 5_000.0, kL=1.1e7) == ["parameters_changed", "model_complete"]
+    watched.feed(20, SOUND, 20_000.0)
+    watched.sink.readings([Gap(watched.index, 30_000, "sequence")])
+    watched.index += 30_000
+    assert watched.feed(20, SOUND, 5_000.0) == []
 
 
 def test_a_background_that_the_estimate_takes_over_is_no_change_of_the_machine() -> None:
-    told = Told()
-    told.feed(20, SOUND, 20_000.0)
-    assert told.feed(20, SOUND | {"background_found_s": 20.5}, 5_000.0, kL=1.1e7) == []
+    watched = NamingRun()
+    watched.feed(20, SOUND, 20_000.0)
+    assert watched.feed(20, SOUND | {"background_found_s": 20.5}, 5_000.0, kL=1.1e7) == []
 
 
-def test_what_was_named_after_a_jump_is_not_told_twice() -> None:
-    told = Told()
-    told.feed(20, SOUND, 20_000.0)
-    assert told.feed(10, {}, 5_000.0, kL=1.1e7) == ["parameters_changed", "effect_named"]
-    assert told.feed(30, OPEN) == []
+def test_what_was_named_after_a_jump_is_not_reported_twice() -> None:
+    watched = NamingRun()
+    watched.feed(20, SOUND, 20_000.0)
+    assert watched.feed(10, {}, 5_000.0, kL=1.1e7) == ["parameters_changed", "effect_named"]
+    assert watched.feed(30, OPEN) == []
 
 
 def test_old_samples_that_are_dropped_late_do_not_put_the_question_off() -> None:
-    told = Told()
-    told.feed(20, SOUND, 20_000.0)
-    told.feed(4, SOUND, 9_000.0, kL=1.1e7)  # of which most are from before the jump
-    told.feed(6, SOUND, 5_000.0, kL=1.1e7)
-    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 20_500, 7000)]
+    watched = NamingRun()
+    watched.feed(20, SOUND, 20_000.0)
+    watched.feed(4, SOUND, 9_000.0, kL=1.1e7)  # of which most are from before the jump
+    watched.feed(6, SOUND, 5_000.0, kL=1.1e7)
+    assert [(q.y[0, 0], len(q.y)) for q in watched.asked] == [(0.5 * 20_500, 7000)]
 
 
 def test_a_second_change_puts_the_question_off() -> None:
-    told = Told()
-    told.feed(20, SOUND, 20_000.0)
-    told.feed(4, SOUND, 3_000.0, kL=1.1e7)
-    told.feed(10, SOUND, 1_500.0, kL=1.2e7)
-    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 24_500, 7000)]
+    watched = NamingRun()
+    watched.feed(20, SOUND, 20_000.0)
+    watched.feed(4, SOUND, 3_000.0, kL=1.1e7)
+    watched.feed(10, SOUND, 1_500.0, kL=1.2e7)
+    assert [(q.y[0, 0], len(q.y)) for q in watched.asked] == [(0.5 * 24_500, 7000)]
 
 
 def test_missing_samples_are_missing_in_the_question() -> None:
-    told = Told()
-    told.feed(1, OPEN)
-    told.sink.readings([Gap(told.index, 1000, "sequence")])
-    told.index += 1000
-    told.feed(20, OPEN)
-    assert np.isnan(told.asked[0].y).all(axis=1).sum() == 1000
+    watched = NamingRun()
+    watched.feed(1, OPEN)
+    watched.sink.readings([Gap(watched.index, 1000, "sequence")])
+    watched.index += 1000
+    watched.feed(20, OPEN)
+    assert np.isnan(watched.asked[0].y).all(axis=1).sum() == 1000
 
 
 def test_the_line_of_the_live_table() -> None:

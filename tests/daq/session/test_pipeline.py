@@ -247,9 +247,9 @@ class Reporter(Recorder):
         return SinkHealth(1.5, 7, notices)
 
 
-def test_a_sink_with_a_thread_is_heard() -> None:
-    clock, sink, told = FakeClock(), Reporter(), []
-    pipeline = Pipeline(PLAN, [sink], clock, notify=told.append)
+def test_notices_of_a_sink_with_a_thread_are_reported() -> None:
+    clock, sink, notices = FakeClock(), Reporter(), []
+    pipeline = Pipeline(PLAN, [sink], clock, notify=notices.append)
     pipeline.step([INFO, vibration(0, 25_600)])
     clock.t_ns += 10**9
     pipeline.tick(LinkStats(frames=3), {"reader": 5})
@@ -262,10 +262,10 @@ def test_a_sink_with_a_thread_is_heard() -> None:
     assert {"core", "estimate"} <= set(status.lag_s)
     pipeline.tick(LinkStats(), {})
     assert len(sink.of("status")) == 1  # a second has not passed
-    assert Notice(1, "error", "log_fault", "disk full") in told
-    assert {notice.code for notice in told} == {"log_fault", "overflow"}
-    assert any(": the oldest 5 in the queue are dropped" in notice.text for notice in told)
-    assert [notice.code for notice in told].count("overflow") == 1  # not again before ten seconds
+    assert Notice(1, "error", "log_fault", "disk full") in notices
+    assert {notice.code for notice in notices} == {"log_fault", "overflow"}
+    assert any(": the oldest 5 in the queue are dropped" in notice.text for notice in notices)
+    assert [notice.code for notice in notices].count("overflow") == 1  # not again before ten seconds
 
 
 def test_the_session_says_what_the_log_must_know() -> None:
@@ -319,27 +319,27 @@ def test_the_ledger_lets_nothing_through_twice_and_leaves_no_hole(
     assert ledger.lost == sum(g.count for g in ledger.gaps)
 
 
-def test_what_is_said_before_the_device_is_known_is_told_at_once_and_logged_later() -> None:
-    sink, told = Recorder(), list[Notice]()
-    pipeline = Pipeline(PLAN, [sink], FakeClock(), notify=told.append)
+def test_what_is_said_before_the_device_is_known_is_reported_at_once_and_logged_later() -> None:
+    sink, notices = Recorder(), list[Notice]()
+    pipeline = Pipeline(PLAN, [sink], FakeClock(), notify=notices.append)
     silent = Notice(1, "warning", "silent", "nothing for 1 s")
     pipeline.step([silent])
-    assert told == [silent]
+    assert notices == [silent]
     pipeline.step([INFO, vibration(0, 256)])
     pipeline.finish(LinkStats(), {})
-    assert told == [silent]
+    assert notices == [silent]
     logged = [r for batch in sink.of("readings") for r in batch if isinstance(r, Notice)]  # type: ignore[attr-defined]
     assert logged == [silent]
 
 
-def test_a_step_of_this_computers_clock_is_told_once() -> None:
+def test_a_step_of_this_computers_clock_is_reported_once() -> None:
     class Stepped(FakeClock):
         wall_ns = 0
 
         def wall_offset_ns(self) -> int:
             return super().wall_offset_ns() + self.wall_ns
 
-    def told(live: bool) -> list[str]:
+    def steps(live: bool) -> list[str]:
         clock, sink = Stepped(), Recorder()
         pipeline = Pipeline(PLAN, [sink], clock, live=live)
         clock.wall_ns = 86_400 * 10**9  # set while the device had said nothing yet: the log begins with the right time
@@ -352,15 +352,15 @@ def test_a_step_of_this_computers_clock_is_told_once() -> None:
         notices = [r for r in sink.delivered if isinstance(r, Notice) and r.code == "wall_clock_set"]
         return [n.text.partition(" (")[0] for n in notices]
 
-    assert told(live=True) == [f"this computer's clock moved by {s} s" for s in ("+3600.650", "-1.500")]
-    assert told(live=False) == []
+    assert steps(live=True) == [f"this computer's clock moved by {s} s" for s in ("+3600.650", "-1.500")]
+    assert steps(live=False) == []
 
 
 @pytest.mark.parametrize(
-    ("true", "link", "told"),
+    ("true", "link", "count"),
     [(0.93, "serial", 1), (0.5, "serial", 1), (1.1, "serial", 1), (1 + 2e-4, "serial", 0), (0.5, "virtual", 0)],
 )
-def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link: str, told: int) -> None:
+def test_a_device_whose_rate_is_not_what_it_says_is_reported_once(true: float, link: str, count: int) -> None:
     """Stiffness goes with the square of it."""
     clock, sink = FakeClock(), Recorder()
     pipeline = Pipeline(replace(PLAN, metadata={"link_kind": link}), [sink], clock)
@@ -371,38 +371,38 @@ def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link:
         pipeline.step([INFO, replace(block, t_host_ns=clock.t_ns)])
         pipeline.tick(LinkStats(), {})
     said = [r.text for r in sink.delivered if isinstance(r, Notice) and r.code == "rate_untrue"]
-    assert len(said) == told
+    assert len(said) == count
     assert all(f"come at {INFO.rate_hz * true:.6g} Hz by this computer's clock" in text for text in said)
 
 
-def test_a_rate_that_the_link_has_told_is_not_told_again() -> None:
-    slow, told = replace(INFO, rate_hz=6400.0), Notice(1, "error", "rate_untrue", "the device says 6400 Hz")
+def test_a_rate_that_the_link_has_reported_is_not_reported_again() -> None:
+    slow, warning = replace(INFO, rate_hz=6400.0), Notice(1, "error", "rate_untrue", "the device says 6400 Hz")
     data = vibration(0, 3000)
-    for batches in ([[slow, data, told]], [[told, slow, data]], [[told], [slow, data]]):
+    for batches in ([[slow, data, warning]], [[warning, slow, data]], [[warning], [slow, data]]):
         _, sink = run(batches)
-        assert [r for r in sink.delivered if isinstance(r, Notice)] == [told]
+        assert [r for r in sink.delivered if isinstance(r, Notice)] == [warning]
 
 
 def test_a_device_without_the_rigs_channels_is_all_that_is_said() -> None:
     """Not that the clock moved, by as much as it is since 1970."""
-    told: list[Notice] = []
-    pipeline = Pipeline(PLAN, [], FakeClock(), notify=told.append)
+    notices: list[Notice] = []
+    pipeline = Pipeline(PLAN, [], FakeClock(), notify=notices.append)
     with pytest.raises(ConfigError, match="not the rig's channel b2y"):
         pipeline.step([replace(INFO, signals=INFO.signals[:3])])
     pipeline.finish(LinkStats(), {})
-    assert told == []
+    assert notices == []
 
 
-def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -> None:
-    clock, told = FakeClock(), list[Notice]()
-    pipeline = Pipeline(PLAN, [], clock, notify=told.append)
+def test_a_standstill_and_what_no_driver_says_of_its_losses_are_reported_at_once() -> None:
+    clock, notices = FakeClock(), list[Notice]()
+    pipeline = Pipeline(PLAN, [], clock, notify=notices.append)
 
     def after(seconds: float, *readings: Reading) -> list[str]:
-        told.clear()
+        notices.clear()
         clock.t_ns += round(seconds * 1e9)
         pipeline.step(readings)
         pipeline.tick(LinkStats(), {})
-        return [n.text.partition(";")[0] for n in told]
+        return [n.text.partition(";")[0] for n in notices]
 
     assert after(60.0) == []  # the link was being opened
     assert after(0.1, INFO, vibration(0, 256)) == []
@@ -417,7 +417,7 @@ def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -
     assert after(30.0, vibration(64 * 110, 64))[0].startswith(still)
 
 
-def test_the_last_losses_of_a_session_are_told_in_its_log() -> None:
+def test_the_last_losses_of_a_session_are_reported_in_its_log() -> None:
     sink = Recorder()
     pipeline = Pipeline(PLAN, [sink], FakeClock())
     for k in range(2):

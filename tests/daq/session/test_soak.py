@@ -95,7 +95,7 @@ def _moves(early: list[dict[str, tuple[float, float]]], late: list[dict[str, tup
 def test_two_hours(method: str, least: float, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """least : times real time, on a machine with other work; the page says what it was.
 
-    With a heap for each thread, as glibc has them unless told otherwise, what lies free in them grew by 5.1 and 5.7 MB;
+    With a heap for each thread, as glibc has them unless set otherwise, their free memory grew by 5.1 and 5.7 MB;
     of Python's objects 17 kB come in 28 minutes (tracemalloc), this test's own notes among them.
     """
     seconds = float(os.environ.get("ROTORSCOPE_SOAK_S", "7200"))

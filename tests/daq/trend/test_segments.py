@@ -77,7 +77,7 @@ def test_segments_are_cut_on_blocks_complete_and_replay_as_one(tmp_path: Path) -
 
 
 def test_a_last_segment_of_which_nothing_can_be_read_leaves_the_others_checkable(tmp_path: Path) -> None:
-    """As a full disk leaves it: the estimate of the last block came when the next segment had begun."""
+    """As a full disk leaves it: the estimate of the last block came after the start of the next segment."""
     made: list[MomentEstimator] = []
 
     def make(model: Model, rate_hz: float) -> MomentEstimator:
@@ -186,12 +186,12 @@ def test_a_clock_that_was_wrong_does_not_make_the_newest_the_oldest(tmp_path: Pa
 
 
 def test_a_run_removes_and_says_what(tmp_path: Path) -> None:
-    told: list[Notice] = []
+    notices: list[Notice] = []
     log = SegmentedLog(tmp_path, "press", Cut(seconds=1.0), Keep(age_s=0.5), block_rows=block_rows, live=False)
     batches = [[INFO], *([reading] for reading in blocks(0, 150_000))]
-    acquire_from(RIG, ScriptedDriver(batches, "capture"), [log], make=MomentEstimator, notify=told.append)
+    acquire_from(RIG, ScriptedDriver(batches, "capture"), [log], make=MomentEstimator, notify=notices.append)
     assert len(segments(tmp_path)) <= 3
-    assert [n.text for n in told if n.code == "log_removed"]
+    assert [n.text for n in notices if n.code == "log_removed"]
 
 
 def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
         yield [INFO]
         for k, reading in enumerate(blocks(0, 120_000)):
             if k == 20:
-                until(lambda: any(s.path.stat().st_size for s in segments(folder)), PATIENCE_S)  # it has begun
+                until(lambda: any(s.path.stat().st_size for s in segments(folder)), PATIENCE_S)  # it has started
                 folder.rename(tmp_path / "moved")
                 folder.write_text("in the way")
             yield [reading]

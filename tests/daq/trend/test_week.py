@@ -75,7 +75,7 @@ def own_mb() -> float:
 
 def test_a_week(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     days = float(os.environ.get("ROTORSCOPE_WEEK_DAYS", "7"))
-    mb, handles, told = list[float](), list[int](), list[Notice]()
+    mb, handles, notices = list[float](), list[int](), list[Notice]()
     rng = np.random.default_rng(1)
 
     def stream() -> Iterator[list[Reading]]:
@@ -98,7 +98,7 @@ def test_a_week(tmp_path: Path, record_property: Callable[[str, object], None]) 
     watch = AlarmWatch(RIG, [store.alarm], tmp_path / "trend" / "alarms.json", lambda: 0)
     begin = time.monotonic()
     summary = acquire_from(
-        RIG, ScriptedDriver(stream(), "capture"), [log, store, watch], make=LevelEstimator, notify=told.append,
+        RIG, ScriptedDriver(stream(), "capture"), [log, store, watch], make=LevelEstimator, notify=notices.append,
         queue_bytes=1 << 14,
     )  # fmt: skip
     took_s = time.monotonic() - begin
@@ -125,6 +125,6 @@ def test_a_week(tmp_path: Path, record_property: Callable[[str, object], None]) 
     assert len(list((tmp_path / "trend").glob("*.parquet"))) in (days, days + 1)  # the end lies at midnight
     assert int(found.series["estimate", "bearing1.x.kL"].count.sum()) == pytest.approx(days * 1440, abs=3)
     assert len(alarms) == 1
-    assert "log_removed" in {n.code for n in told}
+    assert "log_removed" in {n.code for n in notices}
     assert growth < 5.0
     assert max(handles[2:]) - min(handles[2:]) <= 3

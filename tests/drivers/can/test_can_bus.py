@@ -127,7 +127,7 @@ def test_socketcand_gone_for_good_costs_nothing(server: Socketcand) -> None:
     driver.close()
 
 
-def test_socketcand_nobody_listens_is_told_at_once() -> None:
+def test_socketcand_nobody_listens_is_reported_at_once() -> None:
     driver = make_driver(parse_link("can:socketcand:can0?host=127.0.0.1&port=1"))
     started = time.monotonic()
     with pytest.raises(LinkOpenError, match="start socketcand"):

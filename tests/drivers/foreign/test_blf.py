@@ -1,4 +1,4 @@
-"""A damaged .blf: what it costs, and that it is told; the reader of python-can says nothing of most of it."""
+"""A damaged .blf: its cost, and its notices; the reader of python-can reports little of it."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_flipped_bit_costs_the_container_that_it_is_in(tmp_path: Path, record_
 
 
 @pytest.mark.parametrize(("at", "value"), [(8, 40), (8, 5000), (8, 2**31), (8, 0), (0, 0)])
-def test_an_object_of_a_wrong_length_is_told(at: int, value: int, write: Callable[..., Path], tmp_path: Path) -> None:
+def test_an_object_of_wrong_length_is_reported(at: int, value: int, write: Callable[..., Path], tmp_path: Path) -> None:
     """It hides neither those before it, nor the containers behind it, and its neighbour's bytes are not its own."""
     good = objects(tmp_path / "w.blf", 6)
     wrong = bytearray(good[1])

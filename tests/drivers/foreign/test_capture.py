@@ -95,7 +95,7 @@ def test_cut_blf_ends_with_a_notice(tmp_path: Path) -> None:
     assert "capture_damaged" in record.codes()
 
 
-def test_a_library_that_complains_of_every_frame_is_not_heard(tmp_path: Path) -> None:
+def test_a_library_that_complains_of_every_frame_is_silenced(tmp_path: Path) -> None:
     """In a process of its own: pytest listens to all logs."""
     path = tmp_path / "a.asc"
     path.write_text("base hex timestamps absolute\n" + 9 * " 0.2 CANFD 1 Rx 301 1 0 9 2 00 01\n")
@@ -123,7 +123,7 @@ def test_a_damaged_asc_line_costs_that_line_alone(tmp_path: Path) -> None:
     assert [(batch.damaged, "0Z" in batch.why) for batch in batches if batch.damaged] == [(1, True)]
 
 
-def test_what_may_be_a_damaged_frame_of_an_asc_is_told_and_other_events_are_not(tmp_path: Path) -> None:
+def test_what_may_be_a_damaged_frame_of_an_asc_is_reported_and_other_events_are_not(tmp_path: Path) -> None:
     """python-can leaves out in silence every line that it does not know."""
     others = [
         "date Mon Jan 1 00:00:00 2024", "base hex timestamps absolute", "internal events logged", "// version 9.0.0",

@@ -86,7 +86,7 @@ def test_j1939_by_the_default_of_the_whole_file() -> None:
         assert (plan.messages[0].pages[0].fields[0].first_code == 0xFB00) is of_j1939
 
 
-def test_j1939_not_available_is_a_gap_and_a_second_source_is_told() -> None:
+def test_j1939_not_available_is_a_gap_and_a_second_source_is_reported() -> None:
     frames = []
     for k in range(50):
         lateral = 0xFFFF if 20 <= k < 23 else 32000
@@ -289,7 +289,7 @@ def test_codes_for_no_value_are_missing_and_named_values_are_not() -> None:
      (20, "SignalNotPresent", False), (20, "Invalid_data", False), (32766, "ungültig", False), (0, "NaN", False),
      (32767, "+16 g", True), (0, "no load", True), (20, "Maximum", True)],
 )  # fmt: skip
-def test_a_name_tells_whether_its_code_is_a_value(code: int, name: str, is_value: bool) -> None:
+def test_a_name_shows_whether_its_code_is_a_value(code: int, name: str, is_value: bool) -> None:
     dbc = NESTED.replace(b'32767 "SNA" -32768 "Error" 0 "Zero"', f'{code} "{name}"'.encode())
     frames = [(769, struct.pack("<h", code if k == 30 else 100 + k), 10 * MS * k) for k in range(60)]
     record = run(frames, {"s": "B.S"}, dbc=dbc)
@@ -339,7 +339,7 @@ def test_frames_of_one_instant_are_one_row_in_any_order() -> None:
     assert np.allclose(values(record).sum(axis=1), 0.0, atol=1e-9)
 
 
-def test_rows_that_came_at_once_are_told_apart_by_order() -> None:
+def test_rows_that_came_at_once_are_separated_by_order() -> None:
     """Host stamps: four rows in a burst of 40 ms."""
     frames = [(768 + j, struct.pack("<h", k), (k // 4 + 1) * 40 * MS) for k in range(200) for j in (0, 1)]
     record = run(frames, {"a": "A.S", "b": "B.S"}, recorded=False)
@@ -360,7 +360,7 @@ def test_messages_of_other_rates_or_clocks_are_told(ratio: float, code: str, fat
     assert [(each.code, each.fatal) for each in decoder.findings] == ([(code, fatal)] if code else [])
 
 
-def test_a_slow_slip_is_told_later() -> None:
+def test_a_slow_slip_is_reported_later() -> None:
     a = [(768, struct.pack("<h", k), 10 * MS * k) for k in range(12_000)]
     b = [(769, struct.pack("<h", k), 2 * MS + round(10 * MS * k * (1 + 3e-5))) for k in range(12_000)]
     assert "own_clocks" in run(sorted(a + b, key=lambda frame: frame[2]), {"a": "A.S", "b": "B.S"}).codes()
@@ -496,6 +496,6 @@ def test_stamps_of_a_clock_that_is_set_shift_nothing(jumps: list[tuple[int, floa
         out += decoder.feed(CanFrames.build([(0x08F02D0B | EXTENDED_FLAG, frame, stamp)]), 10 * MS * k + late_ns)
     assert {g.index for g in out if isinstance(g, Gap)} == {1000, 3500, 5000}
     assert decoder.stats.lost_samples == 3
-    told = [n.code for n in out if isinstance(n, Notice)]
-    assert told.count("clock_set_forwards") == sum(by > 0 for _, by in jumps)
-    assert told.count("clock_set_back") == sum(by < 0 for _, by in jumps)
+    codes = [n.code for n in out if isinstance(n, Notice)]
+    assert codes.count("clock_set_forwards") == sum(by > 0 for _, by in jumps)
+    assert codes.count("clock_set_back") == sum(by < 0 for _, by in jumps)

@@ -160,7 +160,7 @@ def test_tcp_device_goes_and_returns() -> None:
 
 
 def test_hung_up_with_data_still_unread(cable: Cable) -> None:
-    """What came before the hang-up is delivered before the loss is told."""
+    """What came before the hang-up is delivered before the loss is reported."""
     device = ramp_device("serial16", seconds=None)
     listener = socket.create_server(("127.0.0.1", 0))
     driver = make_driver(parse_link(f"serial:socket://127.0.0.1:{listener.getsockname()[1]}"))
@@ -240,7 +240,7 @@ def test_close_wakes_a_blocked_read(cable: Cable) -> None:
     within(ended[0] - closed, 0.25)
 
 
-def test_silent_device_is_told_once_and_costs_nothing(cable: Cable) -> None:
+def test_silent_device_is_reported_once_and_costs_nothing(cable: Cable) -> None:
     device = ramp_device("serial16", seconds=None)
     driver = make_driver(SerialConfig(str(cable.path)))
     driver.open()
@@ -299,7 +299,7 @@ def test_slcan_refuses_a_bitrate_it_has_not() -> None:
         make_driver(parse_link("slcan:/dev/null?data_bitrate=7"))
 
 
-def test_slcan_adapter_that_refuses_is_told(cable: Cable) -> None:
+def test_slcan_adapter_that_refuses_is_reported(cable: Cable) -> None:
     driver = make_driver(SlcanConfig(str(cable.path)))
     driver.open()
     cable.send(b"\r\x07\r")

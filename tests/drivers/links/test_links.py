@@ -105,7 +105,7 @@ def test_no_library_is_imported_for_a_name() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
-def test_a_device_other_than_expected_is_told() -> None:
+def test_a_device_other_than_expected_is_reported() -> None:
     decoder = SerialDecoder(LinkStats(), Expected(10_000.0, ("a", "b")))
     record = Record()
     frames = ramp_device("serial16").next(2)

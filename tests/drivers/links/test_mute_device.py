@@ -12,7 +12,7 @@ from drivers.protocol.faults import Fault
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("link", "layout"), [("serial:pty", "serial16"), ("slcan:pty", "fd16")])
-def test_info_without_samples_is_told_and_its_gap_is_silent(link: str, layout: str) -> None:
+def test_info_without_samples_is_reported_and_its_gap_is_silent(link: str, layout: str) -> None:
     device = ramp_device(layout, 2000.0, None)
     rows = device.config.frame_rows
     device = ramp_device(layout, 2000.0, None, faults=(Fault("silent", 5000 // rows, 4500 // rows),))

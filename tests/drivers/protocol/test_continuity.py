@@ -143,7 +143,7 @@ def test_an_overflow_is_blamed_for_the_hole_behind_the_frames_still_queued() -> 
     assert [(gap.count, gap.reason) for gap in record.gaps] == [(63, "overflow"), (14, "sequence")]
 
 
-def test_device_lost_and_link_loss_are_told_apart() -> None:
+def test_device_lost_and_link_loss_are_distinguished() -> None:
     wire = Wire(device_of("fd16", Fault("device_lost", 100, 2), Fault("drop", 102, 3)))
     record = wire.run(300)
     assert (record.lost("device_lost"), record.lost("sequence")) == (14, 21)
@@ -159,7 +159,7 @@ def test_restart_is_as_long_as_the_hosts_clock_says() -> None:
 
 @pytest.mark.parametrize("layout", ["fd16", "serial16"])
 def test_another_description_begins_anew(layout: str) -> None:
-    """Another rate on the same line, counter and epoch alike: told, and never joined as if nothing had happened."""
+    """Another rate on the same line, counter and epoch alike: reported, and never joined as if nothing had happened."""
     wire = Wire(device_of(layout))
     wire.run(100)
     slow = ramp_device(layout, 12_800.0, None, rows=16)

@@ -162,7 +162,7 @@ def test_a_device_at_twice_its_rate_is_seen_whatever_was_lost_or_held_up() -> No
 
 
 @pytest.mark.parametrize(("hz", "seconds"), [(25.0, 60.0), (1000.0, 30.0)])
-def test_a_rate_that_could_not_be_measured_at_first_is_told_later(hz: float, seconds: float) -> None:
+def test_a_rate_that_could_not_be_measured_at_first_is_reported_later(hz: float, seconds: float) -> None:
     sent_s = np.arange(round(seconds * hz)) / (1.024 * hz)
     come_s = held_up(sent_s, np.cumsum(np.random.default_rng(0).exponential(0.5, 20)), 0.3)
     axis = TimeAxis(hz)
@@ -173,7 +173,7 @@ def test_a_rate_that_could_not_be_measured_at_first_is_told_later(hz: float, sec
 
 @pytest.mark.parametrize("hz", [400.0, 1000.0])
 def test_losses_at_random_among_uneven_stamps_are_no_slower_device(hz: float) -> None:
-    """With 2 % lost and reads every 4 ms the rate was taken 2 % too low, and no loss was told."""
+    """With 2 % lost and reads every 4 ms the rate was taken 2 % too low, and no loss was reported."""
     rng, n = np.random.default_rng(0), round(30 * hz)
     read_s = np.ceil(np.maximum.accumulate(np.arange(n) / hz + rng.exponential(3e-4, n)) / 0.004) * 0.004
     kept = np.flatnonzero(rng.random(n) >= 0.02)
@@ -210,7 +210,7 @@ def test_a_clock_300_ppm_off_is_followed(ppm: int, batch: int) -> None:
     assert place(np.arange(20_000) * 10.0 * (1 + ppm * 1e-6), 100.0, batch) == list(range(20_000))
 
 
-def test_a_rate_that_drifts_away_is_followed_and_told() -> None:
+def test_a_rate_that_drifts_away_is_followed_and_reported() -> None:
     axis = TimeAxis(100.0)
     t_ns = (np.cumsum(np.linspace(10.0, 10.04, 20_000)) * MS).astype(np.int64)
     index = np.concatenate([axis.place(t_ns[k : k + 1000]).index for k in range(0, 20_000, 1000)])
@@ -227,7 +227,7 @@ def test_certain_samples_are_not_held() -> None:
     assert axis.held == 0
 
 
-def test_a_leap_over_days_is_a_gap_of_a_second_and_told() -> None:
+def test_a_leap_over_days_is_a_gap_of_a_second_and_reported() -> None:
     axis = TimeAxis(100.0)
     t_ns = np.arange(400) * 10 * MS
     t_ns[200:] += 3 * 86_400_000 * MS

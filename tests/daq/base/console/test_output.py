@@ -100,12 +100,12 @@ def test_names_that_are_no_text_and_a_terminal_of_few_letters(log: Path, record_
     name = os.fsencode(log.with_name("Prüfstand ")) + b"\xff.mcap"
     log.rename(os.fsdecode(name))
     assert main(["recover", os.fsdecode(name), "--out", str(log), "--quiet"]) == 0
-    told = log.with_name("e.json")
+    facts = log.with_name("e.json")
     done = rotorscope(
-        "export", os.fsencode(log), "--to", name + b".npz", "--json", os.fsencode(told), PYTHONIOENCODING="ascii"
+        "export", os.fsencode(log), "--to", name + b".npz", "--json", os.fsencode(facts), PYTHONIOENCODING="ascii"
     )
     assert done.returncode == 0, done.stderr
-    assert json.loads(told.read_bytes())["file"] == os.fsdecode(name + b".npz")
+    assert json.loads(facts.read_bytes())["file"] == os.fsdecode(name + b".npz")
     assert b"Pr\\xfcfstand \\udcff.mcap.npz" in done.stdout
     row = "names that are no text | log, export and `--json` of such names, a terminal of ASCII only | done and said"
     record_property("reliability", f"{row} | status 0")
@@ -133,7 +133,7 @@ with Output().progress("working") as progress:
 """
 
 
-def test_the_time_of_a_bar_goes_on_where_no_stage_is_told() -> None:
+def test_the_time_of_a_bar_goes_on_where_no_stage_is_reported() -> None:
     """On a terminal; and without a thread, as the estimator works in two processes only where there is one."""
     terminal, its = pty.openpty()
     work = subprocess.Popen([sys.executable, "-c", WORKS], stderr=its)
@@ -147,7 +147,7 @@ def test_the_time_of_a_bar_goes_on_where_no_stage_is_told() -> None:
     assert b"0:00:01" in said.partition(b"END")[0]
 
 
-def test_who_heard_of_a_trouble_hears_of_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_reported_fault_has_its_end_reported(capsys: pytest.CaptureFixture[str]) -> None:
     """Also without --verbose, which is for the rest."""
     operator = Operator(Output(), "fan")
     for level, code in (("error", "link_lost"), ("info", "link_back"), ("info", "shutdown_failed")):
@@ -178,8 +178,8 @@ def test_a_symbolic_link_stays_and_leads_to_the_result(
     circle.symlink_to(circle.name)
     capsys.readouterr()
     assert main([*command, str(circle)]) in (2, 4)
-    (told,) = capsys.readouterr().err.splitlines()
-    assert "Too many levels of symbolic links" in told
+    (facts,) = capsys.readouterr().err.splitlines()
+    assert "Too many levels of symbolic links" in facts
     assert circle.is_symlink()
     row = f"symbolic link as a place | `{' '.join(LINKED[suffix])}` a link to nothing, to a file, in a circle"
     record_property("reliability", f"{row} | written where it leads, the link stays; the circle refused | held")

@@ -342,9 +342,9 @@ def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFi
     assert finding
     assert main(["info", str(folder / "log.mcap"), "--json", str(folder / "i.json")]) == 0
     assert f"warning: {finding[0]}" in capsys.readouterr().out
-    told = json.loads((folder / "i.json").read_text())
-    assert [(n["level"], n["code"], n["text"]) for n in told["notices"]] == [("warning", "clipped", finding[0])]
-    assert told["findings"] == []  # said once
+    facts = json.loads((folder / "i.json").read_text())
+    assert [(n["level"], n["code"], n["text"]) for n in facts["notices"]] == [("warning", "clipped", finding[0])]
+    assert facts["findings"] == []  # said once
 
 
 def test_what_makes_a_record_unfit_is_said_by_import_and_info(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -82,7 +82,7 @@ def run(command: str) -> int:
     return main(command.split())
 
 
-def told(capsys: pytest.CaptureFixture[str], command: str) -> dict[str, Any]:
+def result_of(capsys: pytest.CaptureFixture[str], command: str) -> dict[str, Any]:
     capsys.readouterr()
     assert run(f"{command} --json -") == 0
     value: dict[str, Any] = json.loads(capsys.readouterr().out)
@@ -92,32 +92,32 @@ def told(capsys: pytest.CaptureFixture[str], command: str) -> dict[str, Any]:
 def test_each_command_takes_the_part(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     y = log()
     asked = "--from 1 --to 3.5 --channels b1x"
-    value = told(capsys, f"info a.mcap {asked}")
+    value = result_of(capsys, f"info a.mcap {asked}")
     assert (value["from_s"], value["seconds"], value["channels"]) == (1.0, 2.5, ["b1x"])
     assert value["started"] == "2024-05-01T12:00:01.000000Z"
     assert run(f"export a.mcap --to b.npz {asked.replace('--to', '--until')}") == 0
     assert "its time 0 is 1 s of a.mcap" in capsys.readouterr().err
-    assert told(capsys, f"export a.mcap --to b.npz {asked.replace('--to', '--until')}")["from_s"] == 1.0
+    assert result_of(capsys, f"export a.mcap --to b.npz {asked.replace('--to', '--until')}")["from_s"] == 1.0
     with np.load("b.npz") as out:
         assert str(out["started"]) == "2024-05-01T12:00:01.000000Z"
         np.testing.assert_allclose(out["b1x"], y[5120:17920, 0], atol=1e-8)
         assert "b2x" not in out
-    assert told(capsys, f"replay a.mcap {asked} --out c.mcap")["samples"] == 12800
+    assert result_of(capsys, f"replay a.mcap {asked} --out c.mcap")["samples"] == 12800
     np.testing.assert_array_equal(read_log("c.mcap").samples()[:, 0], read_log("a.mcap").samples()[5120:17920, 0])
     assert read_log("c.mcap").channels == ("b1x",)
-    value = told(capsys, f"fit a.mcap --rig rig.toml {asked.replace('3.5', '3.9')} --out fitted.toml")
+    value = result_of(capsys, f"fit a.mcap --rig rig.toml {asked.replace('3.5', '3.9')} --out fitted.toml")
     assert value["samples"] <= 14848
     assert (value["from_s"], value["seconds"]) == (1.0, 2.9)
     assert {name.partition(".")[0] for name in value["parameters"]} == {"bearing1"}
     assert [c.name for c in load_rig("fitted.toml").model.channels] == ["b1x", "b2x"]
-    assert told(capsys, "fit a.npz --rig rig.toml --from 2024-05-01T12:00:01Z --seconds 2.9")["from_s"] == 1.0
+    assert result_of(capsys, "fit a.npz --rig rig.toml --from 2024-05-01T12:00:01Z --seconds 2.9")["from_s"] == 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["compare", "diagnose", "improve --out better.toml"])
 def test_an_analysis_takes_the_part(folder: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
     log()
-    assert told(capsys, f"{command} a.mcap --rig rig.toml --seconds 3 --channels b1x")["seconds"] == 3.0
+    assert result_of(capsys, f"{command} a.mcap --rig rig.toml --seconds 3 --channels b1x")["seconds"] == 3.0
     if "--out" in command:
         assert [c.name for c in load_rig("better.toml").model.channels] == ["b1x", "b2x"]
 

@@ -176,7 +176,7 @@ def test_one_that_floods_does_not_disturb_another(
     within(took, 2.0)
 
 
-def test_mistakes_are_told_before_anything_begins(
+def test_mistakes_are_reported_before_anything_begins(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     two = [f"{rig}=virtual:", str(rig)]

@@ -108,7 +108,7 @@ def test_a_pair_is_two_effects_whatever_else_is_asked() -> None:
     assert not pairs(replace(model, shaft="none"), ["cubic", "crack"], 1), "there is no shaft to crack"
 
 
-def test_a_pair_that_nobody_tells_is_so_by_the_catalogue() -> None:
+def test_a_pair_that_no_record_separates_is_so_by_the_catalogue() -> None:
     one, other = NOBODY_TELLS
     assert one in CATALOGUE[other].confused_with
     assert other in CATALOGUE[one].confused_with
@@ -147,7 +147,7 @@ def test_one_effect_makes_no_pair(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("seconds", "stands_in"), [(2.0, True), pytest.param(20.0, False, marks=pytest.mark.slow)], ids=["quick", "whole"]
 )
-def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool) -> None:
+def test_what_improve_adds_of_a_pair_is_reported(seconds: float, stands_in: bool) -> None:
     pair = Pair({"clearance": "both", "quadratic_damping": "bearing1"}, 0)
     model = load_rig(PAPER).model
     judge: dict[str, Any] = {}

@@ -15,8 +15,8 @@ from estimator.simulation.start import stationarity
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], list[float]]:
     out = tmp_path_factory.mktemp("paper") / "deeper"
-    told: list[float] = []
-    return out, reproduce(out, told.append, seconds=8.0, replicates=30), told
+    shares: list[float] = []
+    return out, reproduce(out, shares.append, seconds=8.0, replicates=30), shares
 
 
 def rows(numbers: dict[str, Any], table: str, **wanted: str) -> list[dict[str, Any]]:
@@ -80,9 +80,9 @@ def test_mass_ratio_is_a_verdict_not_a_number_with_the_rigs_shaft(
 
 @pytest.mark.slow
 def test_progress_rises_to_one(made: tuple[Path, dict[str, Any], list[float]]) -> None:
-    told = made[2]
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    shares = made[2]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
 
 
 def test_the_simulated_rig_obeys_the_exact_condition() -> None:

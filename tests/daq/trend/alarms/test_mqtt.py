@@ -1,4 +1,4 @@
-"""Alarms on a real broker on loopback: retained, told again after a reconnect, never waited for."""
+"""Alarms on a real broker on loopback: retained, published again after a reconnect, never waited for."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Broker:
             self._process.wait(PATIENCE_S)
 
     def retained(self, wanted: int) -> dict[str, Any]:
-        """What somebody is told who comes when so many topics are known."""
+        """Messages to a late subscriber, once so many topics are known."""
         end = time.monotonic() + PATIENCE_S
         while len(found := self._retained()) < wanted:
             assert time.monotonic() < end, found
@@ -77,7 +77,7 @@ def listens(port: int) -> bool:
 
 
 @needs_broker
-def test_alarms_are_retained_and_the_end_is_told(broker: Broker) -> None:
+def test_alarms_are_retained_and_the_end_is_reported(broker: Broker) -> None:
     broker.start()
     until(lambda: listens(broker.port))
     alarms = MqttAlarms(f"mqtt://127.0.0.1:{broker.port}/plant/hall 3")
@@ -94,7 +94,7 @@ def test_alarms_are_retained_and_the_end_is_told(broker: Broker) -> None:
 
 @pytest.mark.slow
 @needs_broker
-def test_a_broker_that_comes_later_is_told_everything(broker: Broker) -> None:
+def test_a_broker_that_comes_later_is_given_all_states(broker: Broker) -> None:
     begin = time.monotonic()
     alarms = MqttAlarms(f"mqtt://127.0.0.1:{broker.port}")
     alarms.listener("press")(STATE)

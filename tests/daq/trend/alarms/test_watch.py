@@ -29,8 +29,8 @@ class Watched:
     """A watch, and what it has said."""
 
     def __init__(self, own: Rig, memory: Path | None = None) -> None:
-        self.heard: list[AlarmState] = []
-        self.watch = AlarmWatch(own, [self.heard.append], memory, lambda: 0)
+        self.states: list[AlarmState] = []
+        self.watch = AlarmWatch(own, [self.states.append], memory, lambda: 0)
         info = info_of(own)
         self.watch.start(Session(model=own.model, info=info, device="", attachments={}, metadata={}))
         self.second = 0
@@ -77,7 +77,7 @@ def test_a_change_is_learned_said_and_over() -> None:
     assert "has changed (-2.8 %)" in alarm.text
     (over,) = own.estimates(noise(6, 4))
     assert over.code == "alarm_over"
-    assert [s.state for s in own.heard] == ["learning", "ok", "alarm", "ok"]
+    assert [s.state for s in own.states] == ["learning", "ok", "alarm", "ok"]
     assert len(own.watch.raised) == 1
 
 
@@ -90,11 +90,11 @@ def test_what_was_learned_survives_a_restart(tmp_path: Path) -> None:
     assert [n.code for n in second.estimates(noise(70, 2))] == ["alarm_learned"]
     second.watch.close()
     third = Watched(rig(CHANGE), memory)
-    assert third.heard[0].state == "ok"
+    assert third.states[0].state == "ok"
     assert [n.code for n in third.estimates(noise(4, 3) - 4e5)] == ["alarm"]
     third.watch.close()
-    assert Watched(rig(CHANGE), memory).heard[0].state == "alarm"  # it lasts
-    assert Watched(rig(CHANGE.replace("2 %", "3 %")), memory).heard[0].state == "learning"  # another alarm
+    assert Watched(rig(CHANGE), memory).states[0].state == "alarm"  # it lasts
+    assert Watched(rig(CHANGE.replace("2 %", "3 %")), memory).states[0].state == "learning"  # another alarm
     memory.write_text("{broken")
     assert [n.code for n in Watched(rig(CHANGE), memory).watch.health().notices] == ["alarm_memory"]
 
