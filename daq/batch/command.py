@@ -54,14 +54,14 @@ class Asked:
 
 @dataclass
 class Known:
-    """What the tables hold already, by the place of each task."""
+    """Results in the tables. runs : place of a task -> key, status and length in s."""
 
     runs: dict[Place, tuple[str, str, float]]
     only_failed: bool
     skipped: int = field(default=0, init=False)
 
     def seconds(self, task: Task) -> float | None:
-        """How long the log of a task is, if that task has been done as it is now asked for."""
+        """Length in s of the log of a task, if the task is done for the same request."""
         key, status, seconds = self.runs.get(task.place, ("", "", 0.0))
         return seconds if key == task.key and status == DONE_STATUS else None
 

@@ -78,7 +78,7 @@ class Task:
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """What the row is of: a row of the same place gives way to a newer one."""
+        """Identity of the row: a newer row of the same place replaces it."""
         return self.log.url, self.log.rig.path, self.name, self.from_s, self.seconds
 
     @property

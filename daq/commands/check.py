@@ -40,7 +40,7 @@ def check(output: Output, path: Path) -> None:
 
 
 def overwritten() -> list[str]:
-    """Other packages that hold files of the same names as ours: which one is imported is chance."""
+    """Other packages with files of the same names as Rotorscope's, so that either may be imported."""
     from importlib.metadata import distributions  # packages_distributions takes half the time of a whole check
 
     owners: dict[str, set[str]] = {name: set() for name in OUR_PACKAGES}
@@ -116,7 +116,7 @@ def _summary(rig: Rig) -> Table:
 
 
 def _rotor_rows(model: Model) -> list[tuple[str, str]]:
-    """What the matrices of a rotor hold, to be held against the program that made them."""
+    """Properties of a rotor's matrices, to compare with the program that made them."""
     if model.rotor is None:
         return []
     bending, on_bearings = modes_hz(model, model.rotor)

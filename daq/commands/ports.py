@@ -1,4 +1,4 @@
-"""`rotorscope ports`: what can be opened here, as links to copy, and what is missing."""
+"""`rotorscope ports`: links that can be opened here, and libraries that are missing."""
 
 from __future__ import annotations
 

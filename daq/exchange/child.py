@@ -265,7 +265,7 @@ def _plain(value: NDArray[Any]) -> NDArray[Any]:
 
 
 def _text(value: Any) -> NDArray[np.uint8]:
-    """JSON as bytes: an array of characters may hold what is none."""
+    """JSON as bytes, because an array of characters may hold invalid ones."""
     return np.frombuffer(json.dumps(value).encode(), np.uint8)
 
 

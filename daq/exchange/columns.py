@@ -78,7 +78,7 @@ def titled(title: str) -> tuple[str, str]:
 
 
 def time_unit(name: str, unit: str = "") -> float | str | None:
-    """Seconds of one unit of a column of this name: None if it is no time, the unit itself if nobody knows it.
+    """Seconds of one unit of a column of this name; None if it is no time, the unit itself if it is unknown.
 
     nan : it is a time that says no unit. "Time" with unit "ms", "time_ms", "t/ms" and "t in s" are known.
     """
@@ -143,7 +143,7 @@ def date_ns(text: str) -> int | None:
 
 
 def scalar(value: Any) -> float | None:
-    """The one number in a value, whatever its shape; None if it is none."""
+    """The single number in a value of any shape; None if the value is no single number."""
     numbers = np.ravel(value)
     return float(numbers[0]) if numbers.size == 1 and numbers.dtype.kind in "iuf" else None
 

@@ -133,7 +133,7 @@ def _header(path: Path, lines: list[str], names: Sequence[str]) -> _Table:
 
 @dataclass(slots=True)
 class _Head:
-    """What the lines before the header say."""
+    """Facts in the lines before the header."""
 
     delimiter: str = ""
     rate_hz: float | None = None

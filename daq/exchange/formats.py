@@ -168,7 +168,7 @@ def _elsewhere(path: Path, names: Sequence[str]) -> Columns:
 
 
 def answered(path: Path, out: Path, status: int, said: str) -> Columns:
-    """What the child process answered: its file of columns, or why there is none."""
+    """The columns from the child process. Raises its error if there are none."""
     last = said.strip().rpartition("\n")[2]
     if status == child.UNUSABLE_STATUS:
         raise LogError(f"{path}: {last}")

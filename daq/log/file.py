@@ -119,14 +119,14 @@ class LogFile:
 
     @property
     def removed(self) -> bool:
-        """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
+        """Whether the file or its folder was deleted. The bytes remain while the file is open."""
         if os.fstat(self._fd).st_nlink:
             return False
         return self._hidden is None or unfinished.wanted(self._hidden)  # at our exit: unwanted first, then gone
 
     @property
     def in_place(self) -> bool:
-        """What is found under `path` is this file; of one that was removed or has no name yet, nobody asks."""
+        """Whether this file lies at `path`; also True for a file that was removed or has no name yet."""
         return self._hidden is not None or self._aside is not None or self.removed or self._is(self.path)
 
     def follow(self) -> bool:

@@ -1,4 +1,4 @@
-"""A part of a log, found by halving: what lies outside is neither read nor checked, however long the log is."""
+"""A part of a log, found by bisection: the rest is neither read nor checked, however long the log is."""
 
 from __future__ import annotations
 

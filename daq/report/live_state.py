@@ -1,4 +1,4 @@
-"""What is kept of a run for the terminal: how much came, the last status and estimate. A sink that draws nothing."""
+"""State of a run for the terminal: amount of data, last status and estimate. A sink that draws nothing."""
 
 from __future__ import annotations
 

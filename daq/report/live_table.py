@@ -19,7 +19,7 @@ NAMING_CODES = ("missing_force", "effect_named", "effect_unknown", "model_comple
 
 
 def missing_text(extra: Mapping[str, float]) -> str:
-    """The rolling missing force in a line: how much, and what it is most like; "" before there is one."""
+    """The rolling missing force in a line: its size and the most similar effect; "" before there is one."""
     total = extra.get(MISSING_FORCE_KEY)
     if total is None:
         return ""

@@ -43,7 +43,7 @@ Notify = Callable[[Notice], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """What came of a session.
+    """The result of a session.
 
     seconds : of data, gaps included.
     samples, lost_samples : of each channel.

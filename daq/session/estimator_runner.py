@@ -78,7 +78,7 @@ class EstimatorRunner:
         return out
 
     def close(self, timeout_s: float) -> bool:
-        """Wait for what was put, at most `timeout_s`; False if that was not enough and the rest is left undone."""
+        """Wait at most `timeout_s` for the queued blocks; False if time ran out, which leaves the rest undone."""
         if self._wake is None:
             return True
         with self._changed:

@@ -25,7 +25,7 @@ MakeEstimator = Callable[[Model, float], OnlineEstimator]
 
 
 def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEstimator:
-    """What makes the estimator called `method` for a model and a rate. Imported when first made: it is heavy.
+    """The maker of the estimator `method` for a model and a rate. The estimator is imported at its first use.
 
     watch : the effects that the spectral one looks for beside the model: usual | catalogue | none.
     """
@@ -71,7 +71,7 @@ def _in_thread(search: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def warm_up(make: MakeEstimator, model: Model, rate_hz: float, rows: int) -> None:
-    """Have everything compiled before data come: an estimator that is then dropped, fed until it says something.
+    """Compile everything before data come, with an estimator that is fed until its first estimate and dropped.
 
     It is fed noise through a resonance in the middle of the band, which any of them takes for a bearing on its spring.
     """

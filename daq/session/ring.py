@@ -89,12 +89,12 @@ class KeptSamples:
         self.full_scale: dict[str, int] = {}  # channel -> samples at full scale in what was asked for last
 
     def begin(self, info: Info) -> None:
-        """Forget everything: the device has said anew what it is."""
+        """Forget everything, because the device has a new description."""
         self._info, self.rate_hz = info, info.rate_hz
         self._blocks.clear()
 
     def append(self, block: Block) -> None:
-        """Take a block, and drop what is too old."""
+        """Take a block, and drop the oldest rows."""
         self._blocks.append(block)
         self.stop = block.index + len(block.counts)
         oldest = self.stop - self._seconds * self.rate_hz

@@ -153,7 +153,7 @@ def _sinks(rig: Rig, out: str | Path | None, live: bool, recorded: Recorded | No
 
 
 def naming_sinks(rig: Rig, live: bool, listeners: Sequence[LayersListener] = ()) -> list[Sink]:
-    """The sinks that say what the layers see, and name a force that begins to be missing.
+    """The sinks that report the layers, and name an effect that the model begins to lack.
 
     The second one is there if the rolling estimate of the rig looks for a missing force. listeners : get the layers.
     """

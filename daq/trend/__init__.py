@@ -1,1 +1,1 @@
-"""A machine watched for years: segments of its log, what is kept of them, the trend, alarms."""
+"""A machine watched for years: segments of its log, their retention, the trend, alarms."""

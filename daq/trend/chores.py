@@ -40,7 +40,7 @@ class Chores:
             return self._changed.wait_for(self.idle, timeout_s)
 
     def close(self, timeout_s: float | None) -> bool:
-        """Wait, then end the thread; what is not done by then stays undone. Whether all was done."""
+        """Wait, then end the thread. Returns whether all chores were done; the others stay undone."""
         done = self.wait(timeout_s)
         with self._changed:
             self._closed = True

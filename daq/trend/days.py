@@ -65,7 +65,7 @@ def day_name(time_ns: int) -> str:
 
 
 class DayWriter:
-    """Appends rows to the day that they are of. One thread. What the disk does not take waits for the next."""
+    """Appends rows to the file of their day. One thread. Rows that the disk does not take wait for the next call."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -159,7 +159,7 @@ def compact(folder: Path, day: str) -> None:
 
 
 def stream_tables(path: Path) -> Iterator[Any]:
-    """What a stream holds, as far as it is whole."""
+    """The complete rows of a stream."""
     pa, ipc = arrow(), arrow("pyarrow.ipc")
     with suppress(pa.ArrowInvalid, OSError, EOFError), path.open("rb") as file, ipc.open_stream(file) as reader:
         for batch in reader:

@@ -1,4 +1,4 @@
-"""Names of segments: what was measured, when it began (UTC), whether an alarm is in it."""
+"""Names of segments: the measured machine, the start (UTC), and a mark for an alarm."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def remove_old(folder: Path, keep: Keep, now_ns: int, own: Collection[Path], wri
 
 
 def in_words(removed: Removed) -> str:
-    """One line of what was removed, for the log; "" for nothing."""
+    """One line about the removed segments, for the log; "" for none."""
     if not removed.paths:
         return ""
     first, last = removed.paths[0].name, removed.paths[-1].name

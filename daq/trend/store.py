@@ -126,7 +126,7 @@ class TrendStore:
             self._collect()
 
     def _collect(self) -> None:
-        """Hand on what has come since the last time."""
+        """Give the rows since the last call to the writing thread."""
         rows, self._rows = self._rows, []
         rows += zone_rows(self._limits, self._now_ns)
         self._limits = None

@@ -49,7 +49,7 @@ class Source(Protocol[Out]):
     def close(self) -> None: ...  # idempotent, never raises
 
     def receive(self, timeout_s: float) -> Out | None:
-        """What has arrived, None after `timeout_s` with nothing. Raises LinkLost."""
+        """The data that has arrived; None after `timeout_s` without data. Raises LinkLost."""
         ...
 
     def events(self) -> list[Event]: ...
@@ -65,7 +65,7 @@ class Decoder(Protocol[In]):
     def cause(self, reason: str) -> None: ...
 
     def nothing(self) -> str:
-        """Why frames gave no sample: what was seen, and what to do."""
+        """Why frames gave no sample, with a remedy."""
         ...
 
     def finish(self, t_host_ns: int) -> list[Reading]:

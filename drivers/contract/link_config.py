@@ -1,4 +1,4 @@
-"""What the name of a link stands for: the settings of each kind."""
+"""Settings of each kind of link, from its name."""
 
 from __future__ import annotations
 

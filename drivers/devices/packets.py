@@ -64,7 +64,7 @@ class PacketFramer:
         self._synchronised = False
 
     def reset(self) -> None:
-        """Forget what is half read: the line was closed in between."""
+        """Forget a packet that is half read, because the line was closed."""
         self._tail, self._junk = b"", 0
 
     def feed(self, chunk: bytes) -> Packets:

@@ -71,7 +71,7 @@ class Mf4Batches:
         return crashed.take()
 
     def close(self) -> None:
-        """End the process, whatever it is doing."""
+        """End the process at any moment."""
         self._out.close()
         if self._child.poll() is None:
             try:

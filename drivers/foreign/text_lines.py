@@ -1,4 +1,4 @@
-"""Lines of a text file of frames, in whatever encoding its recorder or a shell wrote it."""
+"""Lines of a text file of frames, in any encoding of a recorder or a shell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LONGEST_LINE = 1000  # characters: a file without line ends must not fill the me
 
 
 def open_text(file: Path) -> TextIO:
-    """The file by its byte order mark, or UTF-16 by the zeros between its characters; else ASCII and what is not."""
+    """The opened file; encoding by its byte order mark, or UTF-16 by zeros between characters, else UTF-8."""
     with file.open("rb") as handle:
         head = handle.read(64)
     encoding = "utf-8"

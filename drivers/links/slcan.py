@@ -58,7 +58,7 @@ class SlcanDecoder:
         return self._inner.nothing()
 
     def finish(self, t_host_ns: int) -> list[Reading]:
-        """What was held until more is known (see Decoder)."""
+        """Readings of the data that is held, at the end (see Decoder)."""
         return self._inner.finish(t_host_ns)
 
     def feed(self, chunk: bytes, t_host_ns: int) -> list[Reading]:

@@ -174,7 +174,7 @@ class Continuity:
         self, last: _Anchor, f: SampleFrames, start: int, stop: int, time_us: int | None, t_host_ns: int,
         out: list[Reading],
     ) -> int:  # fmt: skip
-        """Account for what lies between the last frame and this run. Returns how many of its frames to drop."""
+        """Account for the samples between the last frame and this run. Returns the number of its frames to drop."""
         rows = f.counts.shape[1]
         already = self.index - last.index - last.rows  # declared missing since, while the counter stood still
         ahead = (int(f.position[start]) - last.position) % f.modulus

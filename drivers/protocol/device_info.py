@@ -15,7 +15,7 @@ _BY_CODE = {layout.code: layout for layout in LAYOUT_OF_NAME.values()}
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the rig file says of the device; a difference becomes a notice.
+    """Values of the rig file about the device; a difference becomes a notice.
 
     rate_hz : sampling rate, Hz; None if the rig file gives none.
     channels : names of the channels.

@@ -145,7 +145,7 @@ def _over_many(t_ns: F64Array, resolution_ns: float) -> Period | None:
 def _straight(t_ns: F64Array, period_ns: float) -> Period | None:
     """The slope of the earliest arrivals by their number, if these are of a device that counts on and lost nothing.
 
-    Losses, which are a walk at random, and what was held up leave more between these arrivals and their line.
+    Losses, which make a random walk, and delays leave larger distances between these arrivals and their line.
     """
     n = len(t_ns)
     edges = np.linspace(0, n, min(MOST_BLOCKS, n // 2) + 1).astype(np.int64)

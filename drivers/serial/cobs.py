@@ -122,7 +122,7 @@ class Deframer:
         self._synchronised = False
 
     def reset(self) -> None:
-        """The link was lost: what comes next may begin in the middle of a frame."""
+        """Start anew after a lost link: the next bytes may begin in the middle of a frame."""
         self._tail, self._skipping, self._synchronised = b"", False, False
 
     def warm(self) -> None:

@@ -280,7 +280,7 @@ class ByteSender:
         return wire
 
     def _attend(self) -> int | None:
-        """The descriptor to write to, if somebody is there."""
+        """The descriptor to write to, or None without a reader."""
         fd = self._end.fd()
         if fd is None:
             self._running = self._serial
@@ -289,7 +289,7 @@ class ByteSender:
         return fd
 
     def _flush(self, patient: bool) -> None:
-        """Write what the link takes; wait for the rest if patient."""
+        """Write as much as the link takes; if patient, wait until all is written."""
         while self._backlog and not self._stop.is_set():
             fd = self._attend()
             if fd is None and (not patient or self._end.gone):

@@ -1,4 +1,4 @@
-"""Libraries that may be missing: each is said in one line, with what to type; everything else works without it."""
+"""Optional libraries: a missing one is reported in one line with its install command; all else works without it."""
 
 from __future__ import annotations
 

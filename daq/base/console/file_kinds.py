@@ -1,4 +1,4 @@
-"""Kinds of files, by their ending: what a result is never written over, and what is given in place of a log."""
+"""Kinds of files by their ending: files that a result never replaces, and files given in place of a log."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _head(path: Path) -> bytes:
 
 
 def another_ending(path: Path) -> str:
-    """What is wrong with the name of a log to be written, whose ending is that of another kind; "" if nothing is."""
+    """Error about the name of a new log whose ending is that of another kind; "" if the name is valid."""
     suffix = path.suffix.lower()
     if suffix not in (*IMPORTED_SUFFIXES, *OTHER_RESULTS):
         return ""

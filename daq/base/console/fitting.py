@@ -49,7 +49,7 @@ class FittingTable:
         return max(map(len, [*self.headings[k].split(), *words]), default=1)
 
     def widths(self, shown: Sequence[int], width: int) -> list[int]:
-        """Characters of each column that is shown: what it wants, or its longest word and a share of what is left."""
+        """Characters of each shown column: its full width, or its longest word and a share of the rest."""
         least = [self._longest_word(k) for k in shown]
         wanted = [max(map(len, (self.headings[k], *(row[k] for row in self.rows)))) for k in shown]
         more = [max(0, a - b) for a, b in zip(wanted, least, strict=True)]

@@ -64,7 +64,7 @@ def roomy(shape: tuple[int, ...], dtype: type[np.floating[Any]]) -> NDArray[Any]
 
 
 def keep_freed() -> None:
-    """Let arrays be made where others were (on Linux). Memory that is new costs more than what is computed in it:
+    """Let new arrays reuse freed memory (on Linux). Memory that is new costs more than what is computed in it:
     compare takes 0.9 of the time, and no more memory, as its threads share one heap; so do those of a session."""
     with suppress(AttributeError, OSError):
         libc = ctypes.CDLL(None)

@@ -188,7 +188,7 @@ def _console(**options: Any) -> Console:
 
 
 def finite(value: Any) -> Any:
-    """The value with numpy's numbers as Python's, and null for what is not finite."""
+    """The value with numpy's numbers as Python's, and None for numbers that are not finite."""
     if isinstance(value, dict):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -226,7 +226,7 @@ def check_place(option: str, path: Path) -> None:
 
 
 def write_whole(path: Path, data: str | bytes) -> None:
-    """Write a file so that nobody ever sees half of it. Raises ConfigError or LogError if it cannot be.
+    """Write a file so that no reader ever sees half of it. Raises ConfigError or LogError if this fails.
 
     What no text can hold, such as a file's name that is none, is written as JSON has it.
     """

@@ -109,7 +109,7 @@ def go_on() -> None:
 
 @contextmanager
 def unbroken() -> Iterator[None]:
-    """A signal that comes within acts at the end: whatever is made is by then known to those who clear it away."""
+    """Delay signals to the end of the body, so that each new file is registered for removal before a signal acts."""
     before: dict[int, Any] = {}
     came: list[int] = []
     main = threading.current_thread() is threading.main_thread()  # signals interrupt no other thread

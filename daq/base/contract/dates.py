@@ -1,4 +1,4 @@
-"""When a recording was made: Unix times in a log, and what is said where its source names no date."""
+"""Dates of recordings: Unix times in a log, and the metadata where the source gives no date."""
 
 from __future__ import annotations
 

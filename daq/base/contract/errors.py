@@ -1,4 +1,4 @@
-"""What the command line turns into one line on standard error and an exit status (contract.md)."""
+"""Errors that the command line turns into one line on standard error and an exit status (contract.md)."""
 
 from __future__ import annotations
 

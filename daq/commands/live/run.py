@@ -204,7 +204,7 @@ def _damage(recording: Recording) -> str:
 
 
 def _checked(output: Output, recording: Recording, compared: int) -> None:
-    """The estimates came again. Raises CheckFailed if the log is damaged: what is lost cannot have been compared."""
+    """Report that the estimates are identical. Raises CheckFailed if the log is damaged: lost ones are not compared."""
     log = recording.path
     if damage := _damage(recording):
         text = f"its {compared} intact estimates are the logged ones; `rotorscope recover` says what was lost"

@@ -1,4 +1,4 @@
-"""`run` for years: segments, what is kept of them, the trend beside them."""
+"""`run` for years: segments, their retention, and the trend."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Watching:
         cls, out: Path | None, segment: str | None, keep: Sequence[str] = (), keep_free: str | None = None,
         every: str | None = None, length: str | None = None, remove_alarms: bool = False, mqtt: str | None = None,
     ) -> Watching:  # fmt: skip
-        """By the options of the command. Raises ConfigError for what makes no sense."""
+        """The settings from the options of the command. Raises ConfigError for a contradiction."""
         cut = asked_cut(segment, every, length)
         if cut is None:
             if keep or keep_free is not None or remove_alarms:
@@ -79,7 +79,7 @@ class Watched:
         return {} if self.alarms is None else {"alarms": [s.to_json() for s in self.alarms.states.values()]}
 
     def raised(self) -> list[str]:
-        """What the alarms were that began."""
+        """Texts of the alarms that started."""
         return [] if self.alarms is None else [state.text for state in self.alarms.raised]
 
 

@@ -1,4 +1,4 @@
-"""What a channel's name and unit say: its kind, its bearing, its direction."""
+"""Kind, bearing and direction of a channel from its name and unit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def plain_name(source: str) -> str:
 
 
 def guesses(signals: Iterable[tuple[str, str]]) -> Iterator[Guess]:
-    """Channels of signals (name, unit): a place for each, none twice. What says that it is no vibration is left out."""
+    """Channels of signals (name, unit): each with a separate place. Signals that are no vibration are left out."""
     taken: set[tuple[str, str]] = set()
     names: set[str] = set()
     for source, unit in signals:

@@ -14,7 +14,7 @@ DEFAULT_BAND_HZ = (10.0, 4000.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewRig:
-    """What is known of a new rig. origin : where the channels come from, for the first comment."""
+    """Known properties of a new rig. origin : where the channels come from, for the first comment."""
 
     name: str
     origin: str

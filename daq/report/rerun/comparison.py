@@ -32,7 +32,7 @@ STEP_TIMELINE = "model"
 
 
 class Picture(NamedTuple):
-    """A plane of one step: what is drawn in it, and the name of its view."""
+    """A plane of one step: its curves, and the name of its view."""
 
     frame: plane.Plane
     series: list[Series]

@@ -1,4 +1,4 @@
-"""The blueprint shipped with every recording: what is shown where, on which time line."""
+"""The blueprint in every recording: the views with their places and time lines."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _estimates(parameters: Mapping[str, str], missing_force: bool) -> list[Any]:
 
 
 def _health() -> Any:
-    """Tabs of the log, of the layers of the last seconds, and of what the stages of the session say of themselves."""
+    """Tabs of the log, of the layers of the last seconds, and of the state of the stages."""
     import rerun.blueprint as rrb
 
     views = [

@@ -108,7 +108,7 @@ class ViewerProcess:
             raise ViewerGone("the drawing process does not end") from None
 
     def kill(self) -> None:
-        """At once, whatever it is stuck in; the owner's call then fails."""
+        """End the process at once, even if it hangs; the owner's call then fails."""
         self._child.kill()
 
     def close(self) -> None:

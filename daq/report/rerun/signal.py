@@ -1,4 +1,4 @@
-"""What the viewer is shown of a fast signal: envelopes, spectra, orbits. Plain arrays in, plain arrays out."""
+"""Reduces a fast signal for the viewer: envelopes, spectra, orbits. Plain arrays in, plain arrays out."""
 
 from __future__ import annotations
 

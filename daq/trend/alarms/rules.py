@@ -1,4 +1,4 @@
-"""When a value is an alarm: a limit that is passed for so long, a change from what was usual, a strike train."""
+"""Rules for alarms: a value beyond a limit for some time, a change from the usual value, an impact train."""
 
 from __future__ import annotations
 

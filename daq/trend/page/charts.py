@@ -1,4 +1,4 @@
-"""What the trend's page draws: which series share a chart, in which unit."""
+"""Charts of the trend's page: the series that share a chart, and its unit."""
 
 from __future__ import annotations
 
