@@ -102,10 +102,7 @@ def judgeable_record(model: Model, y: Array, layers: Layers, refused: Mapping[st
     names = [c.name for c in usable.model.channels if c.kind in MOTION_UNITS]
     lines = joined_bands(band for name in names for band in layers.machine.line_bands.get(name, ()))
     unexplained = tuple(place for finding in found for place in finding.places)
-    known = replace(
-        usable.model, record_lines=tuple(lines), mains_hz=layers.machine.mains_hz, unexplained_places=unexplained
-    )
-    return replace(usable, model=known)
+    return replace(usable, model=replace(usable.model, record_lines=tuple(lines), unexplained_places=unexplained))
 
 
 def _mode(model: Model, layers: Layers, place: str) -> Mode | str:

@@ -274,8 +274,6 @@ class Model:
         machine, deflect no bearing: no law sees them.
     record_lines : tuple of LineBand or None
         All narrow lines that a survey found in the record; None: a fit looks for them.
-    mains_hz : float or None
-        Of the grid of which a survey found lines in the record, Hz; None: of none.
     unexplained_places : tuple of str
         Measured places that are left out of the model, as no mode there can be the bearing's.
     background : Background or None
@@ -307,7 +305,6 @@ class Model:
     line_bands: tuple[LineBand, ...] = ()
     deflects_at_lines: bool = True
     record_lines: tuple[LineBand, ...] | None = None
-    mains_hz: float | None = None
     unexplained_places: tuple[str, ...] = ()
     background: Background | None = None
     name: str = ""

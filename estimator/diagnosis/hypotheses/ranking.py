@@ -181,15 +181,17 @@ def is_sure_law(entry: Entry) -> bool:
 def _is_known_line(model: Model, finding: Finding) -> bool:
     """Whether a finding is a line that the machine layer explains, or beside the band.
 
-    A record that shows one multiple of the mains has others, too weak to be seen by themselves.
+    Hum of the mains may be too weak for the machine layer.
     """
     if finding.effect not in LINE_NAMES:
         return False
     hz = next(iter(finding.settings.values()))["frequency"].value or 0.0
     low, high = model.band
-    if model.mains_hz is not None and is_mains_multiple(hz, model.mains_hz):
-        return True
-    return not low < hz < high or any(band.has_cause and band.holds(hz) for band in model.record_lines or ())
+    return (
+        is_mains_multiple(hz)
+        or not low < hz < high
+        or any(band.has_cause and band.holds(hz) for band in model.record_lines or ())
+    )
 
 
 def in_order(found: Sequence[Entry]) -> list[Entry]:

@@ -139,8 +139,6 @@ class MachineSurvey:
         Remarks: a speed that the record contradicts, tones beyond the ten, what could not be searched and why.
     line_bands : mapping of str to tuple of LineBand
         Channel -> bands about its narrow lines, for a force balance to leave out.
-    mains_hz : float or None
-        Of the grid of which the record shows lines, Hz; None: it shows none.
     """
 
     speed: ShaftSpeed | None = None
@@ -148,7 +146,6 @@ class MachineSurvey:
     strikes: tuple[StrikeTrain, ...] = ()
     messages: tuple[Message, ...] = field(default=())
     line_bands: Mapping[str, tuple[LineBand, ...]] = field(default_factory=dict)
-    mains_hz: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The value of the key `machine` in the JSON of a diagnosis."""

@@ -12,7 +12,7 @@ from .spectra import channel_spectra
 from .speed import SPEED_SUGGESTED, rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
-from .tones import lines_to_leave_out, shown_mains_hz, significant_lines, tones_of, without_strike_lines
+from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
 
 
 def survey_machine(
@@ -73,7 +73,6 @@ def survey_machine(
         strikes=tuple(strikes),
         messages=(*missing, *remarks, *struck, *more),
         line_bands={name: tuple(line.band for line in left_out if line.channel == name) for name in spectra},
-        mains_hz=shown_mains_hz(lines, speed),
     )
 
 

@@ -60,7 +60,7 @@ def lines_to_leave_out(
     speed : ShaftSpeed or None
         Of the shaft; its wander widens its harmonics.
     """
-    mains = shown_mains_hz(lines, speed)
+    mains = _mains_hz(lines, speed)
 
     def is_harmonic(line: Line) -> bool:
         if line.half_width_hz > LIMITS.max_wander_rel * line.hz:
@@ -197,7 +197,7 @@ def tones_of(
     rms : mapping of str to float
         Channel -> standard deviation of its samples, the measure of strength.
     """
-    mains = shown_mains_hz(lines, speed)
+    mains = _mains_hz(lines, speed)
     named = [(line, *_name(line, speed, mains)) for line in lines]
     named = [entry for entry in named if entry[0].narrow or entry[1] != "other"]
     out: list[tuple[float, Tone]] = []
@@ -253,14 +253,14 @@ def shaft_order(line: Line, speed: ShaftSpeed | None) -> int:
 def _is_mains(line: Line, mains: float) -> bool:
     """Whether a line is a multiple of the mains frequency (Hz)."""
     resolution = 0.5 * line.half_width_hz
-    return resolution < LIMITS.max_mains_tolerance_rel * mains and is_mains_multiple(line.hz, mains, resolution)
+    return resolution < LIMITS.max_mains_tolerance_rel * mains and is_mains_multiple(line.hz, (mains,), resolution)
 
 
-def is_mains_multiple(hz: float, mains_hz: float, resolution_hz: float = 0.0) -> bool:
-    """Whether a frequency is a multiple of that of a grid."""
-    k = round(hz / mains_hz)
+def is_mains_multiple(hz: float, grids_hz: Sequence[float] = LIMITS.mains_hz, resolution_hz: float = 0.0) -> bool:
+    """Whether a frequency is a multiple of that of one of some grids."""
     reach_hz = resolution_hz + LIMITS.mains_tolerance_rel * hz
-    return 1 <= k <= LIMITS.max_mains_multiple and abs(hz - k * mains_hz) <= reach_hz
+    multiples = ((round(hz / grid), grid) for grid in grids_hz)
+    return any(1 <= k <= LIMITS.max_mains_multiple and abs(hz - k * grid) <= reach_hz for k, grid in multiples)
 
 
 def mains_at(lines: Sequence[Line], ratio: float) -> float | None:
@@ -286,7 +286,7 @@ def _multiples(lines: Sequence[Line], hz: float) -> set[int]:
     }
 
 
-def shown_mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
+def _mains_hz(lines: Sequence[Line], speed: ShaftSpeed | None) -> float | None:
     """The grid, Hz, with more multiples in the record; None without a multiple that is no order of the shaft."""
     free = [line for line in lines if not shaft_order(line, speed)]
     evidence: Array = np.array([sum(-line.log_p for line in free if _is_mains(line, hz)) for hz in LIMITS.mains_hz])
