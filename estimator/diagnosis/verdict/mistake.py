@@ -58,7 +58,7 @@ def explaining_mistake(
             whole = fit_all_effects(corrected, y, rate_hz)
             left = survey_bearing(whole.model, whole.point, y)[0]
             after = left.interval[0]
-            if not left.explained and not _explains(survey, left, is_sure(mistake)):
+            if not _explains(survey, left, is_sure(mistake)):
                 return None, untried
     except (DataError, np.linalg.LinAlgError):
         return None, untried
@@ -95,12 +95,14 @@ def mistake_entry(
 
 
 def _explains(survey: BearingSurvey | None, left: BearingSurvey, sure: bool) -> bool:
-    """Whether the corrected rig leaves a fifth of the missing force, or no force that the other bearing predicts.
+    """Whether the corrected rig leaves nothing, a fifth of the missing force, or none that the other bearing predicts.
 
     What is left is judged by its lower 95 % limit, as of a law. A mistake that leaves more has to be sure.
-    A corrected rig that can be fitted, where the given one cannot, explains that much.
+    Where the given rig cannot be fitted, a corrected one that can is named only if it is sure.
     """
     if survey is None:
+        return sure
+    if left.explained:
         return True
     coupled = [any(d.against == OTHER_BEARING for d in one.missing.disturbances) for one in (survey, left)]
     return left.interval[1] <= THRESHOLDS.max_left_rel * survey.interval[0] or sure and coupled == [True, False]
