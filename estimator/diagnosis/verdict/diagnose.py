@@ -157,8 +157,8 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     vibration at the order of the strikes with the smaller p-value. The order of a defect is that of the strikes.
     Imbalance and misalignment go before what is only the trace of a tone. A line is named only where no model of the
     bearings explains the record and no impacts repeat, which have many lines. A wrong speed or rate in the rig file is
-    named where nothing is missing, or nothing but a line or a spectral shape has a name: a wrong rate distorts every
-    spectrum. Where no speed names a tone that dominates, nothing is called complete.
+    named where nothing is missing, and before a law, a line or a spectral shape: a wrong rate scales every frequency.
+    Where no speed names a tone that dominates, nothing is called complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
@@ -215,8 +215,10 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
 
 
 def _goes_after_mistakes(verdict: str) -> bool:
-    """Whether a verdict names no effect, a line, or a cause of a spectral shape."""
-    return verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
+    """Whether a verdict is "complete", a law, a line, or a cause of a spectral shape."""
+    effect = NAMED.get(verdict)
+    is_law = effect is not None and effect.found_by == "law"
+    return is_law or verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
 
 
 def _with_notes_of(first: Entry, bearing: BearingJudgement) -> BearingJudgement:

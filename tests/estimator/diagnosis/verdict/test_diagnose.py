@@ -269,15 +269,17 @@ SPEED_FOUND_RPM, RATE_FOUND_HZ = {"rig.speed_rpm": 1800.0}, {"rate_hz": RATE_HZ 
         ((SPEED_CONTRADICTED, RATE_UNCONFIRMED), SPEED_FOUND_RPM | RATE_FOUND_HZ),  # the record does not tell which
     ],
 )
-def test_a_speed_or_rate_that_the_record_contradicts_is_named_where_nothing_else_is(
+def test_a_speed_or_rate_that_the_record_contradicts_is_named_before_a_law_or_a_spectral_shape(
     codes: tuple[str, ...], values: dict[str, float]
 ) -> None:
     rig, remarks = replace(ONE_CAP_RIG, speed_rpm=1750.0), tuple(Message(code, f"check {code}") for code in codes)
     found = verdict(judged("complete"), model=rig, remarks=remarks)
     assert found.verdict == found.ranking[0].effect == "rig_file"
     assert {key: p.value for key, p in found.ranking[0].parameters.items()} == pytest.approx(values)
-    assert verdict(judged("cubic"), model=rig, remarks=remarks).verdict == "cubic"
-    assert verdict(judged("pedestal"), model=rig, remarks=remarks).verdict == "rig_file"
+    for name in ("cubic", "pedestal"):
+        beside = verdict(judged(name), model=rig, remarks=remarks)
+        assert (beside.verdict, beside.ranking[1].effect) == ("rig_file", name)
+    assert verdict(judged("unknown"), model=rig, remarks=remarks).verdict == "unknown"
     assert verdict(judged("complete"), model=rig).verdict == "complete"
 
 
