@@ -164,8 +164,8 @@ def _judged_by_rule(
             return mistaken
     if not named and not untried and (best := better_predicting(entries, None, context)) is not None:
         named = [best]
-    if named and is_cause_of_spectrum(named[0].effect):  # every excitation has some colour: a surer tone goes first
-        likelier = [e for e in tones if e.effect not in refused and e.score > named[0].score]
+    if named and is_cause_of_spectrum(named[0].effect):  # every excitation has some colour: a surer line goes first
+        likelier = [e for e in tones if e.effect in LINE_NAMES and e.effect not in refused and e.score > named[0].score]
         sure = [e for e in _judged_entries(likelier, context) if e.passed]
         named, entries = [*sure, *named], [*sure, *entries]
     entries += [tone for tone in tones if all(tone.effect != e.effect for e in named)]

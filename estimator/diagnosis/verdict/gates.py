@@ -140,13 +140,13 @@ def told_from_zero(entry: Entry, context: Context) -> GateResult:
     """Fitted together with the model, the candidate predicts held-out data: it is not zero.
 
     It has to predict as much as separates two candidates where the record gives none of its numbers, or where it is
-    not fitted together with the model; beside structural modes as much as one more mode would have to gain.
+    not fitted together with the model. Beside structural modes a law has to gain what one more mode would have to.
     """
     fit = context.fitted(entry)
     gain, values = fit.gain_nats, fit.entry.parameters.values()
     vague = gain is None or bool(values) and not any(value.identifiable for value in values)
     least = THRESHOLDS.rival_nats if vague else THRESHOLDS.min_gain_nats
-    if vague and entry.placed and context.point.data.background is not None:
+    if entry.placed and context.point.data.background is not None:
         least = STRUCTURE_LIMITS.min_gain_nats
     text = "held-out nats" if gain is None else "held-out nats, fitted with the model,"
     gain = entry.heldout_gain if gain is None else gain
