@@ -40,7 +40,11 @@ KNL = 1.3e18
 BAND = (150.0, 8000.0)  # Hz, of the rig
 KEYS = ("kL", "c", "kNL", "S")
 EXACT = "(exact path)"  # the whole path without noise: the luck of the record
-OURS = {"spectral": spectral, "score matching": score_matching, "eq. (36), response form": fokker_planck}
+OURS = {
+    "spectral": spectral.fit_spectral,
+    "score matching": score_matching.fit_score_matching,
+    "eq. (36), response form": fokker_planck.fit_fokker_planck,
+}
 SLOW = {"SFI": int(os.environ.get("ROTORSCOPE_SLOW_SEEDS", "1"))}
 
 Result = dict[str, dict[str, float]]  # place -> errors in %
@@ -151,8 +155,8 @@ def test_two_bearing_rig() -> None:
     model = rig_model("cubic", band=BAND)
     for seed in range(SEEDS):
         y = kept("cubic", seed)
-        for method, module in OURS.items():
-            run(f"{test}/{method}/{seed}", lambda m=module, y=y: plain(dict(m.fit(model, y, RATE).parameters)), truth)
+        for method, fit in OURS.items():
+            run(f"{test}/{method}/{seed}", lambda f=fit, y=y: plain(dict(f(model, y, RATE).parameters)), truth)
         motion = band_limit(y, ["acceleration"] * 4, RATE, BAND)
         places = {p: place_of_rig(motion, y, i) for i, p in enumerate(PLACES)}
         for method, solve in rivals.METHODS.items():
@@ -207,11 +211,11 @@ def test_one_degree(noise: float, sigma: float) -> None:
                 "kL": duffing.TRUTH["kL"], "c": duffing.TRUTH["c"], "kNL": duffing.TRUTH["cubic.kNL"], "S": S
             }
         }  # fmt: skip
-        for method, module in OURS.items():
+        for method, fit in OURS.items():
             model = models[whole if method == "spectral" else band]
             run(
                 f"{test}/{method}/{seed}",
-                lambda f=module.fit, m=model, y=y: plain(dict(f(m, y[:, None], duffing.RATE).parameters)),
+                lambda f=fit, m=model, y=y: plain(dict(f(m, y[:, None], duffing.RATE).parameters)),
                 truth,
             )
         motion = band_limit(y[:, None], ["displacement"], duffing.RATE, band)
