@@ -107,18 +107,23 @@ def cell_spectrum(
 
 def _resolving_pieces(y: Array, rate_hz: float, low_hz: float) -> Pieces | str:
     """The pieces of a record that resolve a band from low_hz, or why none do, one line. y : (n,)."""
-    seconds = int(np.count_nonzero(np.isfinite(y))) / rate_hz
-    parts = LIMITS.short_pieces if seconds < LIMITS.short_s else LIMITS.pieces_per_record
-    seconds = min(max(seconds / parts, LIMITS.min_piece_s), LIMITS.max_piece_s)
-    pieces = Pieces(y, rate_hz, max_seconds=seconds)
+    record_s = int(np.count_nonzero(np.isfinite(y))) / rate_hz
+    piece_s = min(max(record_s / _piece_count(record_s), LIMITS.min_piece_s), LIMITS.max_piece_s)
+    pieces = Pieces(y, rate_hz, max_seconds=piece_s)
     if len(pieces) < 2:
-        return f"the record is too short: it has no two pieces of {seconds:.2g} s without a gap"
-    if (least_s := LIMITS.min_piece_periods / low_hz) > pieces.seconds:
-        return (
-            f"the record is too short for a band from {low_hz:g} Hz: record {least_s * parts:.0f} s, or begin the "
-            f"band at {LIMITS.min_piece_periods / pieces.seconds:.2g} Hz"
-        )
-    return pieces
+        return f"the record is too short: it has no two pieces of {piece_s:.2g} s without a gap"
+    least_s = LIMITS.min_piece_periods / low_hz
+    if least_s <= pieces.seconds:
+        return pieces
+    length_s = least_s * _piece_count(least_s * LIMITS.short_pieces)
+    longer = f"record {length_s:.0f} s, or " if least_s <= LIMITS.max_piece_s else ""
+    begin_hz = LIMITS.min_piece_periods / pieces.seconds
+    return f"the record is too short for a band from {low_hz:g} Hz: {longer}begin the band at {begin_hz:.2g} Hz"
+
+
+def _piece_count(record_s: float) -> int:
+    """Number of pieces of a record of some length, s."""
+    return LIMITS.short_pieces if record_s < LIMITS.short_s else LIMITS.pieces_per_record
 
 
 def first_of_cells(ratio: Array, width_rel: float) -> NDArray[np.intp]:

@@ -37,12 +37,12 @@ class Thresholds:
 
     # excitation
     cell_width_rel: float = 0.003  # of its frequency: the half-power width of a mode of 0.3 % damping is twice that
-    pieces_per_record: int = 8  # blocks of a record, and of one shorter than so many s
-    short_pieces: int = 4  # blocks of a record, and of one shorter than so many s
-    short_s: float = 10.0  # blocks of a record, and of one shorter than so many s
-    min_piece_s: float = 0.05  # of a block; a longer one resolves more than modes need
-    min_piece_periods: float = 4.0  # of the lower edge of the band in a block: its cell is free of the mean
-    max_piece_s: float = 20.0  # of a block; a longer one resolves more than modes need
+    pieces_per_record: int = 8  # into which a record is cut, so that the spectrum is an average
+    short_pieces: int = 4  # into which a short record is cut
+    short_s: float = 10.0  # length below which a record is short
+    min_piece_s: float = 0.05  # of a piece: the side lobes of a shorter one are wider than modes
+    max_piece_s: float = 20.0  # of a piece: a longer one resolves more than modes need
+    min_piece_periods: float = 4.0  # of the lower edge of the band in a piece: its cell is free of the mean
     max_blocks: int = 16  # that are kept apart
     min_line_reach_bins: int = 3  # a line reaches as far as its side lobes, which fall with the distance^4
     sidelobe_bins: float = 1.5  # a line reaches as far as its side lobes, which fall with the distance^4

@@ -133,6 +133,8 @@ def test_excitation_is_that_of_the_force_and_poles_are_stable() -> None:
     ("band", "seconds", "reason"),
     [
         ((2.0, 2600.0), 4.0, "record 8 s, or begin the band at 4 Hz"),
+        ((1.0, 2600.0), 8.0, "record 32 s, or begin the band at 2 Hz"),
+        ((0.1, 2600.0), 8.0, "too short for a band from 0.1 Hz: begin the band at 2 Hz"),
         ((2500.0, 2600.0), 4.0, "the band is too narrow"),
         ((100.0, 2600.0), 0.01, "no two pieces"),
     ],
