@@ -57,9 +57,9 @@ def _known(model: Model) -> Model:
 
 
 def heldout_gain_nats(before: WorkingPoint, after: WorkingPoint) -> float:
-    """Held-out nats that a fit gains over another fit of the same record, on the bins of the first fit.
+    """Held-out nats that the fit `after` gains over the fit `before` of the same record, on the bins of `after`.
 
-    Beside a law of the shaft bins are left out: the other model is fitted to the rest as well.
+    A law of the shaft leaves bins out. The model of `before` is then fitted to the remaining bins as well.
     """
     if not after.data.is_judged_like(before.data):
         before = fit_model(after.data, list(before.placed), start=before)

@@ -183,6 +183,11 @@ def _judged_by_rule(
     return BearingJudgement(named[0].effect, ranking, separates=separation_text(ranking), messages=said)
 
 
+def is_of_surroundings(verdict: str) -> bool:
+    """Whether a verdict names no effect, a line or the shape of a spectrum: the surroundings of a bearing have both."""
+    return verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
+
+
 def _is_tone(entry: Entry) -> bool:
     """Whether a candidate is a periodic force, whose lines are left out of the force balance."""
     return entry.effect in PERIODIC_EFFECTS

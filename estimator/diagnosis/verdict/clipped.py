@@ -8,20 +8,18 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry, named_parameters
-from estimator.effects import LINE_NAMES
 from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
-from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.record import CLIPPED_CODE, RecordSurvey, clipping_level, level_parameter, pileup_p_value
 from estimator.model.rig import Model
 from estimator.results import Message
 
-from .bearing import BearingJudgement
+from .bearing import BearingJudgement, is_of_surroundings
 
 
 def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, survey: RecordSurvey) -> BearingJudgement:
     """The judgement with the clipped channels that the model does not know, named where no law is.
 
-    A clipped channel goes before a line, which may be of the surroundings, and before the shape of a spectrum.
+    A clipped channel goes before a line and before the shape of a spectrum.
 
     Parameters
     ----------
@@ -58,6 +56,6 @@ def with_clipped_channels(found: BearingJudgement, model: Model, y: Array, surve
         settings=by_effect,
         notes=tuple(Message(f.code, f.text, f.places[0]) for f in texts.values() if f.places[0] in settings),
     )
-    if found.verdict in ("complete", "unknown", *LINE_NAMES) or is_cause_of_spectrum(found.verdict):
+    if is_of_surroundings(found.verdict):
         return replace(found, verdict=entry.effect, ranking=(entry, *found.ranking), separates="")
     return replace(found, ranking=(found.ranking[0], entry, *found.ranking[1:]))

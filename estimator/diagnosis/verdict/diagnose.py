@@ -10,12 +10,11 @@ from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress, quiet
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import LINE_NAMES, NAMED
+from estimator.effects import NAMED
 from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import DataError, NoResonanceError
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.finding import is_cause_of_spectrum
 from estimator.identification.judgeable import Layers, judgeable_record, on_judgeable_record, survey_layers
 from estimator.identification.machine import MachineSurvey
 from estimator.identification.record import RecordSurvey, UsableRecord, record_messages
@@ -24,7 +23,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, Judgement, judge_bearing, judged_mistake
+from .bearing import BearingJudgement, Judgement, is_of_surroundings, judge_bearing, judged_mistake
 from .clipped import with_clipped_channels
 from .signal_findings import (
     RING_TONES_CODE,
@@ -215,10 +214,9 @@ def _is_no_cause_of_tones(verdict: str) -> bool:
 
 
 def _goes_after_mistakes(verdict: str) -> bool:
-    """Whether a verdict is "complete", a law, a line, or a cause of a spectral shape."""
+    """Whether a verdict names no effect, a law, a line, or a cause of a spectral shape."""
     effect = NAMED.get(verdict)
-    is_law = effect is not None and effect.found_by == "law"
-    return is_law or verdict in ("complete", *LINE_NAMES) or is_cause_of_spectrum(verdict)
+    return is_of_surroundings(verdict) or (effect is not None and effect.found_by == "law")
 
 
 def _with_notes_of(first: Entry, bearing: BearingJudgement) -> BearingJudgement:

@@ -12,18 +12,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.diagnosis.comparison.heldout import heldout_gain_nats
 from estimator.diagnosis.comparison.survey import BearingSurvey
 from estimator.diagnosis.hypotheses import gate_amplitude, ranking
 from estimator.diagnosis.hypotheses.ranking import Entry, GateResult
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.errors import NotFiniteError
 from estimator.identification.residual.missing_force import negligible_force_share
 from estimator.identification.structure.thresholds import LIMITS as STRUCTURE_LIMITS
+from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
-from .joint_fit import JointFit, gain_together, joint_fit
+from .joint_fit import JointFit, joint_fit
 
 INSIDE_LIMITS = "inside limits"  # name of the gate
 LEAVES_LITTLE = "leaves little"  # name of the gate
@@ -62,8 +65,13 @@ class Context:
         return self.fits[entry.effect]
 
     def gain_together(self, one: Entry, other: Entry) -> float:
-        """Held-out nats that two laws, fitted together with the model, gain over the model."""
-        return gain_together(self.survey, one, other)
+        """Held-out nats that two laws, fitted together with the model, gain over the model; -inf without a fit."""
+        part = self.survey.part
+        laws = [*part.placed, *one.placed, *other.placed]
+        try:
+            return heldout_gain_nats(part, fit_model(part.data, laws, start=part, rounds=THRESHOLDS.law_fit_rounds))
+        except NotFiniteError:
+            return -np.inf
 
 
 Gate = Callable[[Entry, Context], GateResult]

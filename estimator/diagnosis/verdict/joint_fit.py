@@ -97,16 +97,6 @@ def _law_fit(model: Model, survey: BearingSurvey, entry: Entry) -> JointFit:
     return JointFit(entry=entry, left_rel=left_rel, least_left_rel=least, gain_nats=gain)
 
 
-def gain_together(survey: BearingSurvey, one: Entry, other: Entry) -> float:
-    """Held-out nats that two laws and the model, fitted together, gain over the model; -inf where that fit fails."""
-    part = survey.part
-    laws = [*part.placed, *one.placed, *other.placed]
-    try:
-        return heldout_gain_nats(part, fit_model(part.data, laws, start=part, rounds=THRESHOLDS.law_fit_rounds))
-    except NotFiniteError:
-        return -np.inf
-
-
 def left_of_own_state(before: MissingForce, after: MissingForce, entry: Entry) -> tuple[float, float]:
     """Residual rms over the rms before, in the state where a law explains most, and its lower 95 % limit.
 

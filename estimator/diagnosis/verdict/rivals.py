@@ -46,12 +46,13 @@ def better_predicting(entries: Sequence[Entry], named: Entry | None, context: Co
         return None
     if is_overshadowed(first, entries) if named is None else not np.isfinite(gain(named)):
         return None
-    if any(gain(first) <= gain(e) + THRESHOLDS.rival_nats for e in others):
+    if not others:
+        return first
+    second, margin = others[0], THRESHOLDS.rival_nats
+    if gain(first) <= gain(second) + margin:
         return None
-    if named is None and others and gain(others[0]) > THRESHOLDS.rival_nats:
-        together = context.gain_together(first, others[0])
-        return None if together > gain(first) + THRESHOLDS.rival_nats else first
-    return first
+    is_asked = named is None and gain(second) > margin
+    return None if is_asked and context.gain_together(first, second) > gain(first) + margin else first
 
 
 def is_overshadowed(named: Entry, entries: Sequence[Entry]) -> bool:

@@ -67,8 +67,8 @@ def fit_found_harmonics(
     _, found = _step_until_settled(alone, point, whole)
 
     def fitted(use: EffectUse, key: str, name: str, detected: Parameter) -> Parameter:
-        parameter = found.get(f"{key}.{use.name}.{name}", detected)
-        k = frequency_index(effect := effect_of(use))
+        parameter, effect = found.get(f"{key}.{use.name}.{name}", detected), effect_of(use)
+        k = frequency_index(effect)
         is_frequency = k is not None and name == effect.parameters[k].name
         return detected if is_frequency and not parameter.identifiable else parameter
 
