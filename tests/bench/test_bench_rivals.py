@@ -40,7 +40,7 @@ KNL = 1.3e18
 BAND = (150.0, 8000.0)  # Hz, of the rig
 KEYS = ("kL", "c", "kNL", "S")
 EXACT = "(exact path)"  # the whole path without noise: the luck of the record
-OURS = {
+FIT_BY_METHOD = {
     "spectral": spectral.fit_spectral,
     "score matching": score_matching.fit_score_matching,
     "eq. (36), response form": fokker_planck.fit_fokker_planck,
@@ -155,14 +155,14 @@ def test_two_bearing_rig() -> None:
     model = rig_model("cubic", band=BAND)
     for seed in range(SEEDS):
         y = kept("cubic", seed)
-        for method, fit in OURS.items():
+        for method, fit in FIT_BY_METHOD.items():
             run(f"{test}/{method}/{seed}", lambda f=fit, y=y: plain(dict(f(model, y, RATE).parameters)), truth)
         motion = band_limit(y, ["acceleration"] * 4, RATE, BAND)
         places = {p: place_of_rig(motion, y, i) for i, p in enumerate(PLACES)}
         for method, solve in rivals.METHODS.items():
             if method not in SLOW and wanted(method, seed):
                 run(f"{test}/{method}/{seed}", lambda f=solve, z=places: {p: f(at) for p, at in z.items()}, truth)
-    table(test, [*OURS, *(m for m in rivals.METHODS if m not in SLOW)])
+    table(test, [*FIT_BY_METHOD, *(m for m in rivals.METHODS if m not in SLOW)])
 
 
 def place_of_rig(motion: BandLimitedMotion, y: np.ndarray, i: int) -> rivals.Place:
@@ -211,7 +211,7 @@ def test_one_degree(noise: float, sigma: float) -> None:
                 "kL": duffing.TRUTH["kL"], "c": duffing.TRUTH["c"], "kNL": duffing.TRUTH["cubic.kNL"], "S": S
             }
         }  # fmt: skip
-        for method, fit in OURS.items():
+        for method, fit in FIT_BY_METHOD.items():
             model = models[whole if method == "spectral" else band]
             run(
                 f"{test}/{method}/{seed}",
@@ -225,4 +225,4 @@ def test_one_degree(noise: float, sigma: float) -> None:
             if wanted(method, seed):
                 run(f"{test}/{method}/{seed}", lambda f=solve, z=place: {"bearing1.x": f(z)}, truth)
         run(f"{test}/{EXACT}/{seed}", lambda n=seed: {"bearing1.x": duffing.exact_path(n, sigma)}, truth)
-    table(test, [*OURS, *rivals.METHODS, EXACT])
+    table(test, [*FIT_BY_METHOD, *rivals.METHODS, EXACT])
