@@ -10,7 +10,7 @@ from estimator.arrays import Array
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress, quiet
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import NAMED
+from estimator.effects import CATALOGUE, found_by
 from estimator.effects.excitation.line import LINE
 from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.errors import DataError, NoResonanceError
@@ -23,7 +23,14 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import BearingJudgement, Judgement, is_of_surroundings, judge_bearing, judged_mistake
+from .bearing import (
+    VERDICTS_WITHOUT_EFFECT,
+    BearingJudgement,
+    Judgement,
+    is_of_surroundings,
+    judge_bearing,
+    judged_mistake,
+)
 from .clipped import with_clipped_channels
 from .signal_findings import (
     RING_TONES_CODE,
@@ -152,12 +159,12 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
     """The verdict of all layers.
 
     A bearing defect goes before a law of the motion: impacts make laws look right. Tones alone at the order of a defect
-    do not: a law stands beside them. A defect goes before a law of the shaft's angle unless that modulates the
-    vibration at the order of the strikes with the smaller p-value. The order of a defect is that of the strikes.
-    Imbalance and misalignment go before what is only the trace of a tone. A line is named only where no model of the
-    bearings explains the record and no impacts repeat, which have many lines. A wrong speed or rate in the rig file is
-    named where nothing is missing, and before a law, a line or a spectral shape: a wrong rate scales every frequency.
-    Where no speed names a tone that dominates, nothing is called complete.
+    do not: a law stands beside them. A law of the user's own is judged like ours. A defect goes before a law of the
+    shaft's angle unless that modulates the vibration at the order of the strikes with the smaller p-value. The order of
+    a defect is that of the strikes. Imbalance and misalignment go before what is only the trace of a tone. A line is
+    named only where no model of the bearings explains the record and no impacts repeat, which have many lines. A wrong
+    speed or rate in the rig file is named where nothing is missing, and before a law, a line or a spectral shape: a
+    wrong rate scales every frequency. Where no speed names a tone that dominates, nothing is called complete.
     """
     record, machine = layers.record, layers.machine
     signal = signal_entries(model, record, machine)
@@ -192,31 +199,30 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
 
 def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     """Whether the verdict of the bearing layer stands beside the first candidate of the signal."""
-    effect = NAMED.get(bearing.verdict)
-    if effect is None:
-        return bearing.verdict == RIG_FILE
+    verdict = bearing.verdict
+    if verdict in VERDICTS_WITHOUT_EFFECT:
+        return verdict == RIG_FILE
     if first.effect == LINE.name:
         return True
     law = bearing.ranking[0]
-    if effect.name == first.effect:
+    if verdict == first.effect:
         return have_one_order(law, first)
-    if effect.found_by != "law":
+    if found_by(verdict) != "law":
         return False
     if first.effect != LOCAL_DEFECT.name or any(note.code == RING_TONES_CODE for note in first.notes):
         return True
-    return effect.state == "shaft_angle" and have_one_order(law, first) and law.p_value <= first.p_value
+    turns = verdict in CATALOGUE and CATALOGUE[verdict].state == "shaft_angle"
+    return turns and have_one_order(law, first) and law.p_value <= first.p_value
 
 
 def _is_no_cause_of_tones(verdict: str) -> bool:
     """Whether a verdict is that nothing is missing, or a cause that is no law and makes no tone."""
-    effect = NAMED.get(verdict)
-    return verdict == "complete" if effect is None else effect.found_by != "law" and verdict not in PERIODIC_EFFECTS
+    return verdict == "complete" or (found_by(verdict) != "law" and verdict not in PERIODIC_EFFECTS)
 
 
 def _goes_after_mistakes(verdict: str) -> bool:
     """Whether a verdict names no effect, a law, a line, or a cause of a spectral shape."""
-    effect = NAMED.get(verdict)
-    return is_of_surroundings(verdict) or (effect is not None and effect.found_by == "law")
+    return is_of_surroundings(verdict) or (verdict != RIG_FILE and found_by(verdict) == "law")
 
 
 def _with_notes_of(first: Entry, bearing: BearingJudgement) -> BearingJudgement:

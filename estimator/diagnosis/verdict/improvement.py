@@ -21,12 +21,10 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
-from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing
+from .bearing import SHAFT_HARMONICS, VERDICTS_WITHOUT_EFFECT, BearingJudgement, judge_bearing
 from .clipped import with_clipped_channels
 from .ladder import Ladder, Rung
 from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings
-
-VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -155,6 +155,15 @@ def test_the_order_of_a_defect_is_that_of_the_strikes(order: float, reported: fl
     assert sum(e.effect == "local_defect" for e in found.ranking) == 1
 
 
+def test_a_law_of_the_users_own_stands_beside_strikes_and_tones_as_one_of_the_catalogue_does() -> None:
+    defect = tuple(tone(order, 10.0 / order, "other") for order in (3.56, 7.12))
+    for law in ("cubic", "users_own_law"):
+        assert verdict(judged(law), strikes()).verdict == "local_defect"
+        assert verdict(judged(law), tones=defect, rms=3.0).verdict == law
+        assert verdict(judged(law), tones=(tone(1.0, 8.0), tone(2.0, 1.0))).verdict == law
+        assert verdict(judged(law), tones=(tone(1.0, 8.0, "other"),), speed=None).verdict == law
+
+
 def test_strikes_without_significance_name_or_news_are_no_verdict() -> None:
     assert verdict(judged("complete"), strikes(p_value=0.01)).verdict == "complete"
     assert verdict(judged("complete"), strikes("other", 2.7)).verdict == "complete", "no order of the known bearing"
@@ -276,7 +285,7 @@ def test_a_speed_or_rate_that_the_record_contradicts_is_named_before_a_law_or_a_
     found = verdict(judged("complete"), model=rig, remarks=remarks)
     assert found.verdict == found.ranking[0].effect == "rig_file"
     assert {key: p.value for key, p in found.ranking[0].parameters.items()} == pytest.approx(values)
-    for name in ("cubic", "pedestal", "unknown"):
+    for name in ("cubic", "users_own_law", "pedestal", "unknown"):
         assert verdict(judged(name), model=rig, remarks=remarks).verdict == "rig_file"
     assert verdict(judged("complete"), model=rig).verdict == "complete"
 
