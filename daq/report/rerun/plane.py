@@ -65,7 +65,7 @@ def round_up(value: float) -> float:
     return next(f * decade for f in steps if f * decade >= value * (1 - 1e-9))
 
 
-def decades(values: NDArray[np.float64], at_most: int = 8) -> tuple[float, float]:
+def decades(values: NDArray[np.float64], at_most: int = 10) -> tuple[float, float]:
     """Whole decades around the positive `values`, the lowest given up if there are more than `at_most`."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:

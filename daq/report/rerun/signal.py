@@ -32,7 +32,8 @@ def envelope(index: int, counts: NDArray[np.int32], width: int) -> tuple[NDArray
 def spectrum(y: Array, rate_hz: float, points: int = 400) -> tuple[Array, Array] | None:
     """One-sided PSD by Welch's method: (m,) Hz, (m, channels) unit^2/Hz; None if no whole segment is there.
 
-    Hann windows of an eighth of `y`, half overlapped; segments with a NaN are left out; above the first lines,
+    Hann windows of an eighth of `y`, half overlapped; segments with a NaN are left out. The mean is weighted by the
+    window: the plain mean of a cut oscillation would return as power at the first line. Above the first lines,
     neighbours are averaged on a logarithmic grid to about `points`.
     """
     length = 1 << max(4, int(np.log2(max(len(y), 16) / 6)))
@@ -44,7 +45,7 @@ def spectrum(y: Array, rate_hz: float, points: int = 400) -> tuple[Array, Array]
     segments = segments[np.isfinite(segments).all(axis=(1, 2))]
     if not len(segments):
         return None
-    segments = segments - segments.mean(axis=2, keepdims=True)
+    segments = segments - np.average(segments, axis=2, weights=window, keepdims=True)
     power = (np.abs(np.fft.rfft(segments * window, axis=2)) ** 2).mean(axis=0).T
     power *= 2.0 / (rate_hz * (window**2).sum())
     frequency = np.fft.rfftfreq(length, 1 / rate_hz)[1:-1]
