@@ -1,1 +1,1 @@
-"""What a record answers, as the JSON documents that commands write."""
+"""Answers of a record, as the JSON documents that commands write."""

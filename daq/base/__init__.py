@@ -1,1 +1,1 @@
-"""What every other room of the service needs."""
+"""Base of the service: what every other room needs."""

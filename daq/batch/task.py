@@ -64,7 +64,7 @@ def _seconds(option: str, text: str) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What a worker gets.
+    """One task of a worker.
 
     name : an analysis, or WINDOWS_TASK. from_s, seconds : of a window; None of a whole log. version : of rotorscope,
     which the worker has to have.

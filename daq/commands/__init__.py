@@ -1,1 +1,1 @@
-"""What a user types: the body of each command."""
+"""The commands that a user types: the body of each."""

@@ -1,4 +1,4 @@
-"""What a file of others holds, and the words by which files name time, rate and date."""
+"""Columns of a file of others, and the words by which files name time, rate and date."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MOST_DAY_STEP = 4e-6  # days of a sample at 3 Hz; as seconds it would be 250 kHz
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What a file holds.
+    """Contents of a file.
 
     time : s, if the file has one. units : of those columns whose unit the file says. units_of_kind : of the others, by
     kind of channel. full_scale_counts : the value at full scale if the columns are bare counts (PCM audio, 1 for floats

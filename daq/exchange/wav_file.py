@@ -55,7 +55,7 @@ def read_wav(path: Path, names: Sequence[str]) -> Columns:
 
 
 def _about(texts: dict[bytes, bytes]) -> dict[str, Any]:
-    """What `rotorscope export` says of values and date."""
+    """The remark of `rotorscope export` on values and date."""
     try:
         value = json.loads(texts.get(b"ICMT", b"").rstrip(b"\0"))
     except ValueError:

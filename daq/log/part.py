@@ -47,7 +47,7 @@ def beginning(findings: Findings) -> Findings:
 
 
 def inside(entry: Entry, of: Span, info: Info) -> Entry | None:
-    """What of a block or a gap lies in the span; None if nothing does."""
+    """The part of a block or a gap that lies in the span; None if there is none."""
     stop = of.stop
     if isinstance(entry, Gap):
         end = entry.index + entry.count if stop is None else min(entry.index + entry.count, stop)

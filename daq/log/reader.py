@@ -116,7 +116,7 @@ class Recording:
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What is wrong with the file, one line each."""
+        """Faults of the file, one line each."""
         return tuple(self.findings.damage)
 
     @property

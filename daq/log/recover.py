@@ -23,7 +23,7 @@ FLUSH_MESSAGES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What a recovery saved. lost : a sentence for the user."""
+    """The samples that a recovery saved. lost : a sentence for the user."""
 
     samples: int
     seconds: float

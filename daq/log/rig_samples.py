@@ -69,7 +69,7 @@ def _columns(log: Recording, rig: Rig) -> list[int]:
 
 
 def _doubts(log: Recording) -> list[str]:
-    """What a reader of the samples has to know of the log."""
+    """Facts of the log that a reader of its samples needs."""
     doubts = []
     if log.growing:
         doubts.append(f"{log.path}: is being written; used is what it holds now, up to sample {log.stop - 1}")

@@ -207,7 +207,7 @@ def _record(file: BinaryIO, at: int, size: int) -> _Record:
 def _other(
     file: BinaryIO, at: int, size: int, record: _Record, checksum: _Checksum, findings: Findings
 ) -> str:  # fmt: skip
-    """What is wrong with a record that is no chunk, else ""."""
+    """The fault of a record that is no chunk, else ""."""
     if record.end > size:
         return "ends inside a record"
     if not 1 <= record.op <= DATA_END_OPCODE:

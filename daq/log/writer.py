@@ -247,7 +247,7 @@ class LogWriter:
             self._report("warning", "log_kept", f"{self.path}: what lay there is kept as {self._file.kept}")
 
     def _take(self, timeout_s: float) -> tuple[list[Item], bool]:
-        """What waits, once the disk has room for it."""
+        """Records that wait, once the disk has room for them, and whether they are the last."""
         with self._changed:
             if not self._queue and not self._closing:
                 self._changed.wait(timeout_s)

@@ -1,4 +1,4 @@
-"""What a run shows on a terminal while it goes on: one line of status and the estimates, redrawn twice a second."""
+"""The terminal view of a run: one line of status and the estimates, redrawn twice a second."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class AlarmTable(Table):
 def alarm_problems(
     alarms: Sequence[AlarmTable], channels: Sequence[str], places: Sequence[str], classed: bool
 ) -> list[Problem]:
-    """What alarms name that is not there. places : measured ones, such as bearing1.x; classed : a machine class."""
+    """Names in the alarms that are not there. places : measured ones, such as bearing1.x; classed : a machine class."""
     problems = []
     for k, alarm in enumerate(alarms):
         kind, name, path = alarm.kind, alarm.name, ("alarm", k, "what")

@@ -1,4 +1,4 @@
-"""What is wrong with a rig file, for people: the path and line of each problem, and what to do about it."""
+"""Problems of a rig file, for people: path and line of each, and what to do about it."""
 
 from __future__ import annotations
 

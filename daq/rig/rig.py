@@ -129,7 +129,7 @@ class Rig:
         return None if self.link.dbc is None else self.base / self.link.dbc
 
     def attachments(self) -> dict[str, bytes]:
-        """What a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own.
+        """Files that a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own.
 
         Paths of this computer that stand in a log are not followed.
         """

@@ -96,7 +96,7 @@ class AntiAliasTable(Table):
 
 
 class AcquisitionTable(Table):
-    """What the device is expected to send, and what a simulated one does (full_scale, noise: unit of the channels)."""
+    """Samples of the device, expected or simulated (full_scale, noise: unit of the channels)."""
 
     rate_hz: Positive
     full_scale: Positive | None = None
@@ -148,7 +148,7 @@ class Iso20816Table(Table):
 
 
 class MachineTable(Table):
-    """What the machine is."""
+    """The machine: its masses, shaft, speed and bearings."""
 
     iso20816: Iso20816Table | None = None
 
@@ -210,7 +210,7 @@ class ModelTable(BaseModel):
 
 
 class SensitivityTable(Table):
-    """What a sensor gives: volts for each unit of what it measures. A negative value turns the sign."""
+    """Sensitivity of a sensor: volts for each unit of the quantity measured. A negative value turns the sign."""
 
     value: float
     unit: Annotated[str, Field(description='such as "mV/g" or "mV/(m/s^2)"')]
@@ -284,7 +284,7 @@ class ChannelTable(Table):
 
 
 class LinkTable(Table):
-    """What --link overrides; with dbc and a signal map (channel = "MESSAGE.SIGNAL") for devices of others."""
+    """The link (--link overrides it); with dbc and a signal map (channel = "MESSAGE.SIGNAL") for devices of others."""
 
     url: str | None = None
     dbc: str | None = Field(default=None, description="path from the rig file")

@@ -216,7 +216,7 @@ def of_designation(name: str) -> dict[str, int | float] | None:
 
 
 def name_problems(rig: RigTable, channels: Sequence[ChannelTable], model: ModelTable | None) -> list[Problem]:
-    """What names a bearing that the rig does not have, and names that no bearing may have."""
+    """Keys that name a bearing which the rig does not have, and names that no bearing may have."""
     names = rig.names
     out = [
         Problem(("rig", "rotor", "bearings") if rig.rotor else ("rig", "bearings"), f'"{n}" is no name for a bearing')

@@ -85,7 +85,7 @@ class RotorTable(Table):
 
 
 class RotorError(ValueError):
-    """What is wrong with the matrices. key : of [rig.rotor] at which it is to be said."""
+    """Problems of the matrices. key : of [rig.rotor] at which it is to be said."""
 
     def __init__(self, key: str, text: str) -> None:
         super().__init__(text)

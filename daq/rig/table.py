@@ -1,4 +1,4 @@
-"""What every table of the rig file is: unknown keys are errors, numbers are finite, nothing is converted silently."""
+"""Rules of every table of the rig file: unknown keys are errors, numbers are finite, nothing is converted silently."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ class LoggedSession:
 
     @property
     def damage(self) -> list[str]:
-        """What is wrong with segments that were closed, one line each."""
+        """Faults of segments that were closed, one line each."""
         return [f"{path.name}: {text}" for path, own in self.found.items() if own.closed for text in own.damage]
 
     @cached_property

@@ -14,7 +14,7 @@ from .sizes import Keep
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Removed:
-    """What a pass did. paths, size_bytes : removed. kept_alarms : segments with an alarm over a limit of size."""
+    """Outcome of one pass. paths, size_bytes : removed. kept_alarms : segments with an alarm over a limit of size."""
 
     paths: tuple[Path, ...]
     size_bytes: int

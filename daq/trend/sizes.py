@@ -63,7 +63,7 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keep:
-    """What is kept. None: no limit.
+    """Limits of the segments that are kept. None: no limit.
 
     age_s : seconds since the end of a segment. size_bytes : of all segments. free_bytes : of the disk.
     alarms_too : segments with an alarm are removed like the others.

@@ -1,4 +1,4 @@
-"""What an error frame says (Linux's can/error.h; python-can hands the same bits on for other adapters)."""
+"""Meaning of an error frame (Linux's can/error.h; python-can hands the same bits on for other adapters)."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def _parse(
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """What one feed decoded. damaged[k] : damaged lines before frame k; the last entry: after all frames."""
+    """Frames of one feed. damaged[k] : damaged lines before frame k; the last entry: after all frames."""
 
     frames: CanFrames
     damaged: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""What can go wrong with a link; the command line turns each into one line and exit status 3."""
+"""Errors of a link; the command line turns each into one line and exit status 3."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every link driver yields, and the contract it keeps (the driver seam).
+"""Readings of a link driver, and the contract that every driver keeps (the driver seam).
 
 A driver turns bytes of one link into *readings*: blocks of raw counts with an absolute sample index, gaps, notices
 and the device's description of itself. It never raises on wire data and never loses a sample without a `Gap`.
@@ -139,7 +139,7 @@ class Driver(Protocol):
     def close(self) -> None: ...  # idempotent, wakes a blocked read within 0.2 s
 
     def read(self, timeout_s: float) -> list[Reading]:
-        """What has arrived, in order; [] after `timeout_s` with nothing.
+        """Readings that have arrived, in order; [] after `timeout_s` with none.
 
         The first read after `close` returns the samples that were held until it is known whether any is missing.
         """

@@ -25,7 +25,7 @@ class DeviceProfile:
 
     @property
     def dbc(self) -> bytes:
-        """What stands in its packets."""
+        """DBC file of the packets of a device."""
         return Path(__file__).with_name(f"{self.name}.dbc").read_bytes()
 
 

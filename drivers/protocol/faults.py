@@ -1,4 +1,4 @@
-"""What can go wrong in a simulated device, on schedule or at random."""
+"""Faults of a simulated device, on schedule or at random."""
 
 from __future__ import annotations
 

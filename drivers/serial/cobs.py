@@ -106,7 +106,7 @@ def _deframe(
 
 @dataclass(frozen=True, slots=True)
 class Bodies:
-    """What one feed decoded: body k is data[starts[k]:stops[k]], damaged if stops[k] < 0; good bodies are adjacent."""
+    """Bodies of one feed: body k is data[starts[k]:stops[k]], damaged if stops[k] < 0; good bodies are adjacent."""
 
     data: U8Array
     starts: NDArray[np.int64]

@@ -28,7 +28,7 @@ def is_log(path: Path) -> bool:
 
 
 def content(path: Path) -> str:
-    """What a readable file, that is given as a log, is by its first bytes; "" where they say nothing."""
+    """Kind of a readable file that is given as a log, by its first bytes; "" where they do not show it."""
     head = _head(path)
     if not head:
         return "is empty: check that it is the right file, and whole"
@@ -49,7 +49,7 @@ def another_ending(path: Path) -> str:
 
 
 def other_kind(path: Path) -> str:
-    """What a file that is given in place of a log is by its ending, and the command that takes it; "" if not known."""
+    """Kind of a file that is given in place of a log, by its ending, and the command that takes it; "" if not known."""
     if path.suffix.lower() in IMPORTED_SUFFIXES:
         return f"is no log (.mcap); make one of it: rotorscope import {path} --rig RIG --out LOG.mcap"
     return NO_RECORDS.get(path.suffix.lower(), "").format(path)

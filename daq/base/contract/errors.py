@@ -41,7 +41,7 @@ def not_written(path: Path, error: OSError) -> RotorscopeError:
 
 
 def no_folder(path: Path) -> str:
-    """What to do where the folder of a file to be written is not there; "" where it is."""
+    """The remedy where the folder of a file to be written is not there; "" where it is."""
     return "" if path.absolute().parent.exists() else f"folder {path.parent} does not exist; create it first"
 
 

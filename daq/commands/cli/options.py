@@ -1,4 +1,4 @@
-"""What every command takes."""
+"""Options of every command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run of several devices shows on a terminal: a row for each, redrawn twice a second."""
+"""The terminal view of a run of several devices: a row for each, redrawn twice a second."""
 
 from __future__ import annotations
 

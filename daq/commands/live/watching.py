@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watching:
-    """What a run for years was asked for. cut : None for one log."""
+    """Request of a run for years. cut : None for one log."""
 
     cut: Cut | None = None
     keep: Keep = field(default_factory=Keep)
@@ -68,7 +68,7 @@ class Watching:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watched:
-    """What watches a session of one device. sinks : further sinks; layer_listeners : called with the layers."""
+    """Watchers of a session of one device. sinks : further sinks; layer_listeners : called with the layers."""
 
     sinks: list[Sink]
     layer_listeners: list[LayersListener]

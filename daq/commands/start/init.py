@@ -166,6 +166,6 @@ def _some(source: Path, found: list[Guess], names: list[str]) -> list[Guess]:
 
 
 def _left(names: list[str], found: list[Guess]) -> list[str]:
-    """What was left out, in a line."""
+    """The parts that were left out, in a line."""
     left = [name for name in names if name not in {own.source for own in found}]
     return [f"left out: {', '.join(left[:8])}" + (" ..." if len(left) > 8 else "")] if left else []

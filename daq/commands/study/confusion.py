@@ -75,7 +75,7 @@ def run(
 def added(
     fitted: FullFit, known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]
 ) -> dict[str, float]:
-    """What adding an effect to a model at places without a number brings: missing force left, %, and nats to_go.
+    """Missing force that is left, %, and nats to_go, when an effect is added to a model at places without a number.
 
     to_go, of `gap` between the model as it was and the true one, is what the likelihood still lacks after it.
     """

@@ -41,11 +41,11 @@ class Rule(Protocol):
         ...
 
     def to_json(self) -> dict[str, Any] | None:
-        """What must survive a restart; None: nothing."""
+        """State that must survive a restart; None: nothing."""
         ...
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """What an earlier session learned."""
+        """Restore the state that an earlier session saved."""
         ...
 
 

@@ -376,7 +376,7 @@ def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
 
 
 def separation_text(ranking: Sequence[Entry]) -> str:
-    """What separates the first candidate from the others, in words; "A or B or C" where the record does not."""
+    """The evidence that separates the first candidate from the others, in words; "A or B or C" where there is none."""
     if len(ranking) < 2:
         return ""
     first, second = ranking[0], ranking[1]
