@@ -24,6 +24,9 @@ _SCREEN_LINE = re.compile(
 )
 _SCREEN_LOOK = re.compile(r"(?:\([^)]*\)\s+)?\S+\s+(?:(?:RX|TX)\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
 _DATE_STAMP = re.compile(r"\((\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(\.\d{1,9}\))")  # of candump -tA, local time
+_XL_LINE = re.compile(r"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{5}#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#")
+_REMARK_SIGNS = ("#", "//", ";")  # beginnings of lines that are no frames; canplayer passes over them, too
+_COLOUR_CODE = re.compile("\x1b\\[[0-9;]*m")  # of candump -c
 _LOOK_LINES = 200  # lines by which the kind of file is recognised
 _SHORTEST_FRAME_NS = 15_000  # on a bus: 47 bits at 5 Mbit/s, and the rest of a frame at 1 Mbit/s
 _LARGEST_STEP_NS = 3_600_000_000_000
@@ -41,7 +44,23 @@ def candump_batches(file: Path) -> Generator[Batch, None, None]:
         out = Collector()
         if differences:
             out.warn("delta_times", "its time stamps are differences (candump -td): added up")
-        yield from _read(chain(first, lines), out, differences)
+        yield from _read(_frame_lines(chain(first, lines), out), out, differences)
+
+
+def _frame_lines(lines: Iterator[str], out: Collector) -> Iterator[str]:
+    """The lines, those of remarks and of CAN XL frames made empty."""
+    inside = xl = False  # of a line that is longer than a piece; of any frame
+    for number, line in enumerate(lines, 1):
+        if inside or line.startswith(_REMARK_SIGNS):
+            inside = not line.endswith("\n")
+            yield "\n"
+        elif ":" in line and _XL_LINE.match(line):
+            if not xl:
+                out.warn("can_xl", f"CAN XL frames, the first in line {number}: left out")
+            inside, xl = not line.endswith("\n"), True
+            yield "\n"
+        else:
+            yield line
 
 
 def _read(lines: Iterator[str], out: Collector, differences: bool) -> Generator[Batch, None, None]:
@@ -76,7 +95,8 @@ def _read(lines: Iterator[str], out: Collector, differences: bool) -> Generator[
 
 
 def _in_seconds(line: str) -> str:
-    """The line with Unix time in place of a date."""
+    """The line with Unix time in place of a date, and without colours."""
+    line = _COLOUR_CODE.sub("", line) if "\x1b" in line else line
     if "-" not in line[:8] or (match := _DATE_STAMP.match(line.lstrip())) is None:
         return line
     try:

@@ -60,6 +60,8 @@ FORMS = {
     "on the screen": [" " + line for line in SCREEN],
     "on the screen with -x": [line.replace("can0  ", "can0  RX - -  ") for line in SCREEN],
     "on the screen with -tA": [re.sub(r"\(17000000(\d\d)", r"(2023-11-14 22:13:\1", line) for line in SCREEN],
+    "on the screen in colours": [f" \x1b[31m{line}\x1b[0m" for line in SCREEN],
+    "between remarks": ["# by me", *PLAIN[:60], "// half of it", "# " + 3000 * "-", *PLAIN[60:]],
     "neighbours swapped": [PLAIN[k ^ 1] for k in K],
     "differences": ["(000.000000) can0 100#0000", *(f"(000.010000) can0 100#{k:02X}00" for k in K[1:])],
     "differences that vary": [f"(000.{0 if k == 0 else 10_000 + 30 * (-1) ** k:06d}) can0 100#{k:02X}00" for k in K],
@@ -71,6 +73,16 @@ def test_candump_in_other_forms(form: str, tmp_path: Path) -> None:
     record = read(tmp_path / "a.log", FORMS[form])
     assert samples(record).tolist() == list(K)
     assert "capture_damaged" not in record.codes()
+
+
+@pytest.mark.promise("CAN XL frames", "between the frames of a candump log", "left out, said; no samples, no losses")
+def test_frames_of_can_xl_are_left_out(tmp_path: Path) -> None:
+    xl = [line.replace("100#", "45123#81:00:12345678#" + 2048 * "11") for line in PLAIN]
+    record = read(tmp_path / "a.log", [line for pair in zip(PLAIN, xl, strict=True) for line in pair])
+    assert samples(record).tolist() == list(K)
+    assert record.codes() == {"can_xl"}
+    with pytest.raises(LinkOpenError, match="holds no frame"):
+        read(tmp_path / "b.log", xl)
 
 
 @pytest.mark.promise("text of another encoding", "UTF-16, byte order marks", "every frame read")
