@@ -252,7 +252,7 @@ def _stamped(table: _Table, lines: list[str]) -> None:
         return
     for k in range(min(map(len, rows))):
         cells = [row[k] for row in rows]
-        if k in table.wanted or k == table.date or any(":" not in cell for cell in cells):
+        if k in table.wanted or any(":" not in cell for cell in cells):
             continue
         ns = [date_ns(f"1970-01-02 {cell}" if _OF_DAY.match(cell) else cell) for cell in cells]
         if ns[0] is not None and ns[1] is not None and ns[0] < ns[1]:

@@ -90,6 +90,7 @@ READABLE_FILES = {
         ]
     ),  # fmt: skip
     "stamps": STAMPED_ROWS,
+    "stamps under Datum": rows(lambda k: "31.05.2024 13:05:" + german(f"{k / 100:06.3f}"), "Datum;x;y"),
     "times of day past midnight": rows(time_of_day),
 }
 
