@@ -302,6 +302,7 @@ def _numbers(table: _Table, rows: list[list[str]]) -> NDArray[np.float64]:
     try:
         if any(len(row) != width and not (len(row) == width + 1 and not row[-1]) for row in good):
             raise ValueError("a line has more or fewer cells than the header")
+        good = [row if any(row[k] for k in wanted) else ["nan"] * len(row) for row in good]  # rows without a value
         columns = [[_plain(table, row[k]) for row in good] if odd else [row[k] for row in good] for k in wanted]
         return np.array([np.array(column).astype(np.float64) for column in columns]).T
     except ValueError as error:

@@ -155,6 +155,18 @@ def test_a_hole_in_time_becomes_a_gap_if_that_is_allowed(tmp_path: Path) -> None
     np.testing.assert_allclose(record.si()[25:], np.column_stack([X, Y])[25:])
 
 
+@pytest.mark.promise("a table with empty rows", "as pandas writes NaN in every channel", "gaps, if they are allowed")
+def test_rows_that_are_empty_in_every_channel_become_gaps(tmp_path: Path) -> None:
+    lines = table("%.6f").splitlines()
+    lines[21:23] = [line.partition(",")[0] + ",," for line in lines[21:23]]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(LogError, match=r"x is not a number at row 20 .*2 rows in all.* --gaps"):
+        load(tmp_path / "a.csv", XY_RIG, None, print)
+    record = load(tmp_path / "a.csv", XY_RIG, None, print, gaps=True)
+    assert record.missing is not None
+    np.testing.assert_array_equal(np.flatnonzero(record.missing), [20, 21])
+
+
 def test_a_spreadsheet_is_refused_with_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"save the sheet as \.csv"):
         read(tmp_path, "PK", name="a.xlsx")
