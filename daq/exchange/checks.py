@@ -132,7 +132,7 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
         remedy = did_you_mean(name, held, "it has")
         say = "; alias = of a channel in the rig file says what a file calls it"
         raise LogError(f'{path}: has no channel "{name}" of the rig; {remedy}{say}')
-    value = np.squeeze(np.asarray(columns.values[name]))
+    value = np.atleast_1d(np.squeeze(np.asarray(columns.values[name])))
     if value.ndim != 1:
         raise LogError(f"{path}: {name} is an array of shape {np.shape(columns.values[name])}; one column is needed")
     if value.dtype.kind not in "iuf":

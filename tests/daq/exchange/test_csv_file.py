@@ -167,6 +167,11 @@ def test_rows_that_are_empty_in_every_channel_become_gaps(tmp_path: Path) -> Non
     np.testing.assert_array_equal(np.flatnonzero(record.missing), [20, 21])
 
 
+def test_a_table_of_one_row_is_too_short(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="1 samples; there is nothing to import"):
+        read(tmp_path, "time,x,y\n0,1,2\n")
+
+
 def test_a_spreadsheet_is_refused_with_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"save the sheet as \.csv"):
         read(tmp_path, "PK", name="a.xlsx")
