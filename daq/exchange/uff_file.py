@@ -18,6 +18,7 @@ MOST_LATE_SAMPLES = 0.25  # between the first samples of records
 TIME_TYPE = 17  # of an abscissa
 SAME_STEP_REL = 1e-6  # between the steps of records: they are written in single precision
 ROUNDED_STEP_REL = 5e-6  # of a step of six figures, as dataset 58 writes it
+SET_MARK, RECORD_HEAD = b"    -1", b"\n    58"  # before and behind each dataset; how a dataset 58 begins
 VALUES_OF_LINE = 6  # at most, in a dataset 58 as text: a last line may be filled up
 # Dataset 164 says by what to divide to get metres and newtons
 UNIT_OF_LENGTH = {1.0: "m", 1e3: "mm", 1e2: "cm", 1e6: "um", 1 / 0.0254: "in", 1 / 0.3048: "ft"}
@@ -26,10 +27,19 @@ UNIT_OF_FORCE = {1.0: "N", 1e3: "mN", 1e-3: "kN", 1 / 4.4482216152605: "lbf", 1 
 
 def read_uff(path: Path, names: Sequence[str]) -> Columns:
     pyuff = required("pyuff", "formats", str(path))
+    _check_whole(path)
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     units = [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 164]
     return of_uff(path, (file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58), names, units)
+
+
+def _check_whole(path: Path) -> None:
+    """Raise LogError if the file ends inside a dataset 58: the library passes over it."""
+    content = path.read_bytes()
+    last = content.rfind(RECORD_HEAD)
+    if last >= 0 and content.find(SET_MARK, last + len(RECORD_HEAD)) < 0:
+        raise LogError(f"{path}: its last dataset 58 has no end; the file is cut: export it again")
 
 
 def of_uff(

@@ -209,6 +209,16 @@ def test_universal_files_with_times_of_their_own(tmp_path: Path, binary: int) ->
             read(refused)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_universal_file_that_ends_inside_a_dataset_is_cut(tmp_path: Path, binary: int) -> None:
+    whole = uff(tmp_path / "a.uff", binary)
+    whole.write_bytes(whole.read_bytes()[:-1500])
+    with pytest.raises(LogError, match="its last dataset 58 has no end; the file is cut"):
+        read(whole)
+
+
 def test_a_universal_file_without_its_library_says_what_to_type(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
