@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.console.file_kinds import other_kind
+from daq.base.console.file_kinds import other_content, other_kind
 from daq.base.console.memory import bounded_memory
 from daq.base.contract.errors import ConfigError, LogError
 from daq.rig.units import is_unit
@@ -54,6 +54,8 @@ def read(path: Path, names: Sequence[str], aliases: Mapping[str, str] | None = N
         raise LogError(f"{path}: there is no such file; check the path")
     if not os.access(path, os.R_OK):
         raise LogError(f"{path}: no permission to read it; ask its owner to let you")
+    if what := other_content(path):
+        raise LogError(f"{path}: {what}")
     try:
         with bounded_memory(path.stat().st_size) as bound:
             if reader is read_wav or not aliases:
@@ -86,6 +88,9 @@ def by_channel(columns: Columns, aliases: Mapping[str, str]) -> Columns:
 
 def _npz(path: Path, names: Sequence[str]) -> Columns:
     with path.open("rb") as stream:
+        if stream.read(2) not in (b"PK", b"\x93N"):  # of an archive, or of one array
+            raise LogError(f"{path}: is no archive of numpy; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
+        stream.seek(0)
         file = np.load(stream, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
             raise LogError(f"{path}: one array without a name; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
@@ -205,7 +210,8 @@ REMEDY_OF_SUFFIX = {
     ".ods": _SHEET_REMEDY,
     ".zip": "unpack it, and give the file that is in it; ",
     ".gz": "unpack it first; ",
-    ".dat": "if it is a table of text, name it .csv; ",
+    ".dat": "if it is a table of text, name it .csv, and .mdf if it is of INCA; ",
+    ".npy": "it names no channel: write it with numpy.savez(FILE, b1x=..., rate_hz=...) as .npz; ",
     ".trc": "a PCAN trace: convert it to .asc with PEAK's converter, or record with candump -L into a .log; ",
 }
 READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Columns]] = {

@@ -32,6 +32,8 @@ def read_wav(path: Path, names: Sequence[str]) -> Columns:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that carry no samples
         rate, data = wavfile.read(path, mmap=False)
+    if not data.size:
+        raise LogError(f"{path}: holds no samples; check how it was written")
     data = data.reshape(len(data), -1)
     if data.shape[1] != len(names):
         text = f"{data.shape[1]} tracks, where the rig has {len(names)} channels ({', '.join(names)})"
@@ -47,7 +49,7 @@ def read_wav(path: Path, names: Sequence[str]) -> Columns:
     units = about.get("units")
     if isinstance(units, list) and len(units) == len(names):  # one of our own exports
         return Columns(values, float(rate), None, dict(zip(names, map(str, units), strict=True)), started_ns=started_ns)
-    largest = float(np.nanmax(np.abs(data))) if data.size else 0.0
+    largest = float(np.nanmax(np.abs(data)))
     if largest <= 1.0:
         return Columns(values, float(rate), full_scale_counts=1, started_ns=started_ns)
     odd = f"its samples are floats up to {largest:.3g}: taken as values in the rig's units, not as parts of full scale"

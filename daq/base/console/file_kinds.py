@@ -20,6 +20,16 @@ CONTENT_OF_MAGIC = {
     b"PK\x03\x04": "is a ZIP archive: unpack it, and give the file that is in it",
     b"\x1f\x8b": "is compressed with gzip: unpack it first",
 }
+# First bytes of kinds of files: endings of the files that begin so, and what to say of others
+KINDS_OF_MAGIC = {
+    b"PK\x03\x04": ((".npz",), "is a ZIP archive or a spreadsheet: unpack it, or save the sheet as .csv"),
+    b"\x1f\x8b": ((), CONTENT_OF_MAGIC[b"\x1f\x8b"]),
+    b"\x89PNG": ((), "is a picture: give the data that it shows"),
+    b"%PDF": ((), "is a PDF: give the data that it shows"),
+    b"\x89HDF": ((".h5", ".hdf5", ".mat"), "is an HDF5 file by its first bytes: name it .h5"),
+    b"MDF     ": ((".mf4", ".mdf"), "is an MDF file by its first bytes: name it .mf4"),
+    LOG_MAGIC: ((".mcap",), "is a log by its first bytes: name it .mcap"),
+}
 
 
 def is_log(path: Path) -> bool:
@@ -33,6 +43,17 @@ def content(path: Path) -> str:
     if not head:
         return "is empty: check that it is the right file, and whole"
     return next((said for magic, said in CONTENT_OF_MAGIC.items() if head.startswith(magic)), "")
+
+
+def other_content(path: Path) -> str:
+    """What a readable file is by its first bytes, if its ending is of another kind; "" if they fit or say nothing."""
+    head = _head(path)
+    found = (
+        said
+        for magic, (endings, said) in KINDS_OF_MAGIC.items()
+        if head.startswith(magic) and path.suffix.lower() not in endings
+    )
+    return next(found, "")
 
 
 def _head(path: Path) -> bytes:

@@ -110,6 +110,28 @@ def test_what_holds_no_numbers_is_called_so(tmp_path: Path) -> None:
     assert_read(read(tmp_path / "a.mat"))
 
 
+@pytest.mark.promise("a file of another kind than its ending", "spreadsheet, gzip, MDF, log", "called by its kind")
+@pytest.mark.parametrize(
+    ("name", "head", "said"),
+    [
+        ("a.csv", b"PK\x03\x04", "a ZIP archive or a spreadsheet: unpack it, or save the sheet"),
+        ("a.txt", b"\x1f\x8b\x08", "compressed with gzip: unpack it first"),
+        ("a.mat", b"MDF     4.10", r"an MDF file by its first bytes: name it \.mf4"),
+        ("a.csv", b"\x89MCAP0\r\n", r"a log by its first bytes: name it \.mcap"),
+        ("a.npz", b"x,y\n1,2\n", "no archive of numpy; write it with"),
+    ],
+)  # fmt: skip
+def test_a_file_of_another_kind_than_its_ending_is_called_so(tmp_path: Path, name: str, head: bytes, said: str) -> None:
+    (tmp_path / name).write_bytes(head + bytes(range(256)))
+    with pytest.raises(LogError, match=said):
+        load(tmp_path / name, rig(), None, print)
+
+
+def test_sound_without_samples_is_called_so(tmp_path: Path) -> None:
+    wavfile.write(tmp_path / "a.wav", 1000, np.empty((0, 2), np.int16))
+    refused(tmp_path / "a.wav", "holds no samples")
+
+
 def test_a_struct_by_the_names_of_its_fields(tmp_path: Path) -> None:
     assert_read(read(mat(tmp_path, data={"x": Y[:, 0], "y": Y[:, 1], "Fs": RATE_HZ}), rig()))
     assert_read(read(mat(tmp_path, d={"a": {"x": Y[:, 0], "y": Y[:, 1]}, "dt": 1 / RATE_HZ})))
