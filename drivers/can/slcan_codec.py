@@ -1,12 +1,13 @@
 """slcan (LAWICEL, with CAN FD lines): bytes in, CAN frames out, a whole buffer at once. Pure; never raises.
 
 A line must be exact: a digit missing anywhere makes a damaged line, because a frame one byte short would otherwise
-pass. Adapters that append time stamps append them to every line, so the first good lines decide whether lines end with
-a stamp.
+pass. Where only the end of a line is lost, both of its frames are whole. Adapters that append time stamps append them
+to every line, so the first good lines decide whether lines end with a stamp.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numba as nb
@@ -25,6 +26,10 @@ _LENGTH_OF_CODE = np.array(FD_LENGTHS, np.int64)  # bytes, by data length code
 _HEX_VALUES = np.full(256, 255, np.uint8)  # by ASCII code; 255 where the character is no hexadecimal digit
 for _digit, _character in enumerate("0123456789ABCDEF"):
     _HEX_VALUES[ord(_character)] = _HEX_VALUES[ord(_character.lower())] = _digit
+_DATA_FORM = b"|".join(b"%d[0-9A-Fa-f]{%d}" % (size, 2 * size) for size in range(9))
+_LOST_END = re.compile(  # after a whole frame, with or without a stamp: a letter that stands in no payload
+    b"((?:t[0-9A-Fa-f]{3}|T[0-9A-Fa-f]{8})(?:%s)(?:[0-9A-Fa-f]{4}){0,2})(?=[tTrR])" % _DATA_FORM
+)
 
 
 @nb.njit(cache=True)
@@ -187,6 +192,8 @@ class SlcanCodec:
         if b"\n" in chunk:  # some adapters end lines with CR LF, or LF
             chunk = chunk.replace(b"\n", b"\r")
         raw = self._tail + chunk
+        if raw.count(b"t") + raw.count(b"T") > raw.count(b"\r"):
+            raw = _LOST_END.sub(rb"\1\r", raw)
         n = raw.count(b"\r")
         ids, lengths = np.empty(n + 1, np.uint32), np.empty(n + 1, np.uint8)
         payload, stamps = np.zeros((n + 1, 64), np.uint8), np.empty(n + 1, np.int64)

@@ -170,6 +170,21 @@ def test_slcan_damaged_line_is_counted_and_passed_over(line: bytes) -> None:
     assert bad == 1
 
 
+@pytest.mark.promise(
+    "a lost line end of a serial CAN adapter", "with and without stamps, at any split", "both frames read"
+)
+@pytest.mark.parametrize("stamp_ms", [None, 0x1234])
+@given(cuts=CUTS)
+def test_slcan_a_line_end_that_is_lost_costs_no_frame(stamp_ms: int | None, cuts: list[int]) -> None:
+    want = [(0x100 + k, bytes([k] * (k % 9))) for k in range(12)] + [
+        (0x18FF0001 | EXTENDED_FLAG, bytes(8)),
+        (0x100, b""),
+    ]
+    lines = [encode_line(number, data, fd=False, stamp_ms=stamp_ms) for number, data in want]
+    wire = b"".join(line[:-1] if k in (3, 7, 8, 11, 12) else line for k, line in enumerate(lines))
+    assert lines_of(SlcanCodec(), pieces(wire, cuts)) == (want, 0)
+
+
 def test_slcan_time_stamps_are_used() -> None:
     codec = SlcanCodec()
     codec.feed(encode_line(1, b"", False, stamp_ms=59_990), 1_000_000_000)
