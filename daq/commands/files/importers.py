@@ -109,6 +109,8 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path, part: Part)
     from daq.commands.live.run import run_rig
 
     file = Path(capture_file(str(path)))
+    if file.is_dir():
+        raise LogError(f"{path}: is a folder; give a file in it")
     if not file.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     with bounded_memory(file.stat().st_size):  # what cannot be unpacked in it is damage of the file

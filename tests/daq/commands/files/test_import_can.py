@@ -63,3 +63,9 @@ def test_of_two_buses_the_command_that_is_offered_works(folder: Path, capsys: py
     np.testing.assert_array_equal(read_log("a.mcap").samples()[:, 0], expected)
     assert main(["import", "my log.log?bus=7", "--rig", "rig.toml", "--out", "b.mcap"]) == 3
     assert "there is no bus 7 in it: it has can0, can1; choose one: rotorscope import" in capsys.readouterr().err
+
+
+def test_a_folder_is_called_one(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("a.log").mkdir()
+    assert main(["import", "a.log", "--rig", "rig.toml", "--out", "a.mcap"]) == 4
+    assert "a.log: is a folder; give a file in it" in capsys.readouterr().err
