@@ -13,6 +13,15 @@ from .candump import candump_batches
 from .capture_batches import Batches, batches_of
 
 CAPTURE_SUFFIXES = (".log", ".blf", ".asc", ".mf4")  # of recorded CAN traffic
+HEAD_BYTES = 8
+# First bytes of kinds of files: their ending, and what to say where it is another
+KINDS_OF_HEAD = {
+    b"LOGG": (".blf", "a Vector BLF file by its first bytes: name it .blf"),
+    b"MDF     ": (".mf4", "an MDF file by its first bytes: name it .mf4"),
+    b"\x1f\x8b": (".gz", "compressed with gzip: unpack it first"),
+    b"PK\x03\x04": (".zip", "a ZIP archive: unpack it first"),
+    b"(": (".log", "a candump log by its first line: name it .log"),
+}
 BLF_FIRST_BUS = 1  # python-can counts the channels of a BLF file from 0, the file from 1
 
 
@@ -31,9 +40,12 @@ def open_capture(path: str, names: Mapping[str, int] | None = None) -> Batches:
         if file.exists() and not file.is_file():  # a pipe would hold us until somebody writes
             raise LinkOpenError(f"capture:{path}: is not a file that can be read to its end: save the traffic first")
         with file.open("rb") as handle:
-            handle.read(1)
+            head = handle.read(HEAD_BYTES)
     except OSError as error:
         raise LinkOpenError(f"capture:{path}: {error.strerror}: check the path") from error
+    for begin, (ending, what) in KINDS_OF_HEAD.items():
+        if head.startswith(begin) and suffix != ending:
+            raise LinkOpenError(f"capture:{path}: {what}")
     if suffix == ".log":
         return candump_batches(file)
     if suffix == ".asc":

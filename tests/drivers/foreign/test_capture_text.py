@@ -131,6 +131,21 @@ def test_what_it_is_and_what_to_do_is_said(lines: list[str], text: str, tmp_path
         read(tmp_path / "a.log", lines)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("a.log", b"LOGG\x90", "name it .blf"), ("a.asc", b"MDF     4.10", "name it .mf4"),
+        ("a.log", b"\x1f\x8b\x08", "gzip: unpack"), ("a.blf", b"PK\x03\x04", "a ZIP archive: unpack"),
+        ("a.asc", PLAIN[0].encode(), "a candump log by its first line: name it .log"),
+    ],
+)  # fmt: skip
+def test_a_file_under_the_ending_of_another_kind_is_called_so(
+    tmp_path: Path, name: str, content: bytes, text: str
+) -> None:
+    with pytest.raises(LinkOpenError, match=text):
+        read(tmp_path / name, content)
+
+
 @pytest.mark.promise(
     "two buses in a recording",
     "each frame on both, or two devices",
