@@ -72,9 +72,9 @@ def plain(name: str) -> str:
 
 
 def titled(title: str) -> tuple[str, str]:
-    """ "b1x [g]" as ("b1x", "g"); the unit is "" where there is none."""
+    """ "b1x [g]" and "b1x/(g)" as ("b1x", "g"); the unit is "" where there is none."""
     found = TITLE_WITH_UNIT.match(title)
-    return (found[1], found[2].strip()) if found and found[1] else (title, "")
+    return (found[1].rstrip("/ ") or title, found[2].strip()) if found and found[1] else (title, "")
 
 
 def time_unit(name: str, unit: str = "") -> float | str | None:

@@ -90,6 +90,8 @@ def _encoding(path: Path) -> str:
         raise LogError(f"{path}: its first line does not end within a megabyte; a table with a row a line is needed")
     if start[1:200:2].count(0) > 50:
         return "utf-16-le"
+    if start[:200:2].count(0) > 50:
+        return "utf-16-be"
     try:
         start[: start.rfind(b"\n") + 1].decode("utf-8")
     except UnicodeDecodeError:
@@ -288,6 +290,8 @@ def _piece(table: _Table, lines: list[str]) -> tuple[NDArray[np.float64], NDArra
                 read = np.loadtxt(plain, delimiter=table.delimiter, usecols=columns, ndmin=2, comments=None)
                 return read[:, : len(table.wanted)], read[:, -1] if table.time is not None else np.empty(0)
     rows = _rows(table, [line.replace(MINUS_SIGN, "-") for line in lines])
+    if table.time is not None:  # else an empty row may be a sample that is missing
+        rows = [row if any(row) else [] for row in rows]
     numbers = _numbers(table, rows)
     return numbers, np.empty(0) if table.time is None or not table.wanted else _times(table, rows)
 
