@@ -38,16 +38,19 @@ class Reorder:
         if len(t_ns) < 2 or not (np.diff(t_ns) < 0).any():
             return batch
         order = np.arange(len(t_ns))
+        times, kinds = t_ns.copy(), ids.copy()  # in the order so far: the runs may share frames
         late = t_ns < np.maximum.accumulate(t_ns)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], late, [False]])))
         for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             if stop - start > MOST_FRAMES:
                 continue
-            least = t_ns[start:stop].min()
-            before = t_ns[max(0, start - MOST_FRAMES) : start]
+            least = times[start:stop].min()
+            before = times[max(0, start - MOST_FRAMES) : start]
             first = start - len(before) + int(np.searchsorted(before, least, side="right")) if len(before) else start
-            if _better(t_ns, ids, first, stop):
-                order[first:stop] = first + np.argsort(t_ns[first:stop], kind="stable")
+            if _better(times, kinds, first, stop):
+                places = first + np.argsort(times[first:stop], kind="stable")
+                for each in (order, times, kinds):
+                    each[first:stop] = each[places]
                 self.sorted += stop - start
         return _ordered(batch, order)
 

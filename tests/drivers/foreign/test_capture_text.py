@@ -103,6 +103,17 @@ def test_a_hole_in_differences_is_a_hole(tmp_path: Path) -> None:
     assert "delta_times" in record.codes()
 
 
+@pytest.mark.promise("frames out of order", "shuffled within ten frames", "each frame once, at its time, said")
+@pytest.mark.parametrize("seed", range(8))
+def test_frames_that_are_shuffled_are_each_there_once(seed: int, tmp_path: Path) -> None:
+    random, lines = np.random.default_rng(seed), list(PLAIN)
+    for k in range(0, len(lines), 20):
+        lines[k : k + 10] = random.permutation(lines[k : k + 10]).tolist()
+    record = read(tmp_path / "a.log", lines)
+    assert samples(record).tolist() == list(K)
+    assert "unsorted" in record.codes()
+
+
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=40))
 def test_times_that_rise_are_no_differences(steps_us: list[int]) -> None:
     """Unless frames come faster than a bus can carry them."""
