@@ -56,10 +56,13 @@ class Reorder:
 
 
 def _better(t_ns: I64Array, ids: NDArray[np.uint32], first: int, stop: int) -> bool:
-    """Whether the distances of equal frames are more even in the order of their stamps."""
+    """Whether the distances of equal frames are more even in the order of their stamps, or stay as they are."""
     around = slice(max(0, first - MOST_FRAMES), stop + MOST_FRAMES)
-    kinds, counts = np.unique(ids[around], return_counts=True)
-    most = t_ns[around][ids[around] == kinds[np.argmax(counts)]]
+    near, kinds = t_ns[around], ids[around]
+    back = [own for kind in np.unique(kinds) if (np.diff(own := near[kinds == kind]) < 0).any()]
+    if not back:  # frames of different identifiers have changed places
+        return True
+    most = max(back, key=len)
     steps, ordered = np.diff(most), np.diff(np.sort(most))
     if len(steps) < 3:
         return True

@@ -17,6 +17,7 @@ from drivers.contract.errors import LinkOpenError
 from drivers.contract.link_config import CaptureConfig
 from drivers.foreign.asc import when
 from drivers.foreign.candump import are_differences, candump_batches
+from drivers.foreign.reorder import Reorder
 from drivers.links.links import make_driver, parse_link
 from drivers.protocol.device_info import Expected
 
@@ -112,6 +113,22 @@ def test_frames_that_are_shuffled_are_each_there_once(seed: int, tmp_path: Path)
     record = read(tmp_path / "a.log", lines)
     assert samples(record).tolist() == list(K)
     assert "unsorted" in record.codes()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_frames_of_two_identifiers_that_are_shuffled_are_sorted(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    lines = [each for one in PLAIN for each in (one, one.replace("0000) can0 100#", "0500) can0 200#"))]
+    for k in range(0, len(lines), 16):
+        lines[k : k + 8] = random.permutation(lines[k : k + 8]).tolist()
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    sort = Reorder()
+    parts = [sort.take(batch) for batch in candump_batches(tmp_path / "a.log")]
+    rest = sort.rest()
+    assert rest is not None
+    times = np.concatenate([part.frames.t_ns for part in (*parts, rest)])
+    assert len(times) == 2 * len(PLAIN)
+    assert (np.diff(times) > 0).all()
 
 
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=40))
