@@ -46,7 +46,7 @@ def content(path: Path) -> str:
 
 
 def other_content(path: Path) -> str:
-    """What a readable file is by its first bytes, if its ending is of another kind; "" if they fit or say nothing."""
+    """Kind of a readable file by its first bytes, where its ending is of another kind; else ""."""
     head = _head(path)
     found = (
         said
