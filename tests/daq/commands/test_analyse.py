@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from html_page import Page
 
 from daq.commands.analyse import fitted, with_lines
 from daq.commands.cli.app import main
@@ -124,8 +125,6 @@ def lacking_cubic(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]
 def test_a_page_and_a_recording_of_every_command(
     command: str, lacking_cubic: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    from test_report import Page
-
     log, linear = lacking_cubic
     page, view, better = tmp_path / "p.html", tmp_path / "v.rrd", tmp_path / "better.toml"
     more = ["--out", str(better)] if command == "improve" else []
