@@ -20,7 +20,7 @@ class Patient:
         self._driver = driver
         self._open = False
         self._closed = threading.Event()
-        self._why = ""  # it is not open; each reason is said once
+        self._why = ""  # the link is not open; each reason is reported once
         self._unsaid: list[Notice] = []
         self._next_try_s = 0.0
 
@@ -41,6 +41,11 @@ class Patient:
             said, self._unsaid = self._unsaid, []
             return list(said)
         return self._driver.read(timeout_s)
+
+    @property
+    def missing(self) -> str:
+        """Reason why the link has not opened yet; "" once it has, or where it was not tried."""
+        return "" if self._open else self._why
 
     @property
     def exhausted(self) -> bool:

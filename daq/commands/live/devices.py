@@ -18,7 +18,7 @@ from daq.rig.rig import load_rig
 from daq.session.acquire import FINITE_KINDS, Device, RunSummary, acquire_all
 from daq.session.links import open_driver
 from daq.session.service import log_path, naming_sinks
-from drivers.contract import Notice, Patient
+from drivers.contract import LinkOpenError, Notice, Patient
 
 from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
 from .watching import Watched, Watching, watched
@@ -122,7 +122,9 @@ def _report(
         value: dict[str, Any] = {"schema": 1, "device": name, "rig": each.device.rig.model.name, "url": each.link}
         wrong: Exception | None
         if isinstance(result, RunSummary):
+            missing = each.device.driver.missing if isinstance(each.device.driver, Patient) else ""
             wrong = run_failure(result, strict, each.link, stopped, alarms=each.watch.raised())
+            wrong = LinkOpenError(missing) if missing else wrong
             value |= each.watch.to_json()
             log = log_path(each.device.sinks, each.log) if result.samples or result.lost_samples else None
             value = result.to_json() | value | ({"log": str(log)} if log else {})
