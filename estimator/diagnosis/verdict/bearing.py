@@ -41,7 +41,6 @@ SPECTRUM_UNEXPLAINED = Message(
     "the missing force depends on no state, and no cause of the catalogue has its spectrum: check what excites the "
     "rotor at these frequencies, and the sensor",
 )
-VERDICTS_WITHOUT_EFFECT = ("complete", "unknown", RIG_FILE)
 SHAFT_HARMONICS = frozenset(PERIODIC_EFFECTS).difference(LINE_NAMES, {LOCAL_DEFECT.name})
 CAUSES_OF_SPECTRUM = frozenset(name for name in CATALOGUE if is_cause_of_spectrum(name))  # a background holds them
 TWO_LAWS = "two_laws_fit"  # code: two laws of one state leave little together
@@ -73,6 +72,11 @@ class Judgement:
     separates: str = ""
     _: KW_ONLY
     messages: tuple[Message, ...] = ()
+
+    @property
+    def names_effect(self) -> bool:
+        """Whether the verdict is the name of an effect."""
+        return self.verdict not in ("complete", "unknown", RIG_FILE)
 
     def to_json(self) -> dict[str, Any]:
         """The judgement by the keys of the result of diagnose."""

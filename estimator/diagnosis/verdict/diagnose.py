@@ -23,14 +23,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.model.rig import Model
 from estimator.results import NOT_JUDGED, RIG_FILE, Message
 
-from .bearing import (
-    VERDICTS_WITHOUT_EFFECT,
-    BearingJudgement,
-    Judgement,
-    is_of_surroundings,
-    judge_bearing,
-    judged_mistake,
-)
+from .bearing import BearingJudgement, Judgement, is_of_surroundings, judge_bearing, judged_mistake
 from .clipped import with_clipped_channels
 from .signal_findings import (
     RING_TONES_CODE,
@@ -200,7 +193,7 @@ def verdict_of_layers(model: Model, layers: Layers, bearing: BearingJudgement, r
 def _keeps_its_verdict(bearing: BearingJudgement, first: Entry) -> bool:
     """Whether the verdict of the bearing layer stands beside the first candidate of the signal."""
     verdict = bearing.verdict
-    if verdict in VERDICTS_WITHOUT_EFFECT:
+    if not bearing.names_effect:
         return verdict == RIG_FILE
     if first.effect == LINE.name:
         return True

@@ -21,7 +21,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import RIG_FILE, Message, Parameter, messages_json
 
-from .bearing import SHAFT_HARMONICS, VERDICTS_WITHOUT_EFFECT, BearingJudgement, judge_bearing
+from .bearing import SHAFT_HARMONICS, BearingJudgement, judge_bearing
 from .clipped import with_clipped_channels
 from .ladder import Ladder, Rung
 from .signal_findings import shaft_entries, signal_entries, signal_use, tones_of_surroundings
@@ -162,8 +162,7 @@ def improvement(
         if len(ladder.rungs) > 1 and ladder.survey.explained:  # no shaft is blamed beside laws that explain all
             untried |= {RIG_FILE}
         found = diagnose(whole.model, whole.point, y, _second_half(say, step / (step + 1.0)), untried, ladder.survey)
-        named = found.verdict not in VERDICTS_WITHOUT_EFFECT
-        best = found.ranking[0] if named and found.ranking else found.pair
+        best = found.ranking[0] if found.names_effect and found.ranking else found.pair
         if best is None or best.effect in untried:
             break
         if rivals := _inseparable(best, found.ranking):
@@ -180,7 +179,7 @@ def improvement(
         messages += [Message("taken_back", f"{name} is not needed any more: taken back") for name in gone]
     diagnoses.append(found)
     found = _last_verdict(found, ladder.survey)
-    last = found.messages if found.verdict in VERDICTS_WITHOUT_EFFECT else ()
+    last = () if found.names_effect else found.messages
     say(1.0, "done")
     return Improvement(
         rungs=tuple(ladder.rungs),
@@ -200,7 +199,7 @@ def _inseparable(best: Entry, ranking: Sequence[Entry]) -> list[str]:
 
 def _last_verdict(found: BearingJudgement, survey: BearingSurvey) -> BearingJudgement:
     """The diagnosis that ends an improvement: an effect that was refused is no verdict."""
-    if found.verdict in VERDICTS_WITHOUT_EFFECT:
+    if not found.names_effect:
         return found
     doubt = () if survey.inconclusive is None else (survey.inconclusive,)
     return replace(found, verdict="complete" if survey.adequate else "unknown", messages=doubt)
