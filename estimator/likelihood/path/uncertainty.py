@@ -12,6 +12,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
+from estimator.likelihood.response.regressor_set import block_tangents
 from estimator.likelihood.thresholds import LIMITS
 
 from .path_fit import information_inverse
@@ -67,4 +68,26 @@ def _block_scores(point: WorkingPoint) -> Array:
         out[:, at] -= 2 * np.einsum("kbf,bf->bk", Z, force, dtype=np.float64) / fit.S[i]
         power = np.einsum("bf,bf->b", force, force, dtype=np.float64)
         out[:, k + i] = power / fit.S[i] - gram.n[i].sum() / data.blocks
+    _add_block_tangents(point, out)
     return out
+
+
+def _add_block_tangents(point: WorkingPoint, scores: Array) -> None:
+    """Add the response of the mean tangent of each block, less that of the record, to the scores (blocks, k + places).
+
+    The score of a law is its force times the residual force, less S times the response of its mean tangent. Both grow
+    with the motion. With the tangent of the record the scores follow the level, and standard deviations are too large.
+    """
+    data, s, names = point.data, point.whitening.s, list(point.fit.names)
+    if not data.x.size or data.measured_force:
+        return
+    inverse = np.linalg.inv(point.jacobian.A0) * point.jacobian.weight[:, None, None]
+    if point.whitening.measured is not None:
+        inverse = point.whitening.measured @ inverse
+    laws = ((use, k) for use in point.placed if use.effect.kind == "force" for k in range(use.p.size))
+    for use, k in ((use, k) for use, k in laws if use.name(k) in names):
+        column = names.index(use.name(k))
+        for i in use.at:
+            response = np.array([(inverse[:, i, i] / s**n).real.sum() for n in (2, 1)])
+            tangents = block_tangents(use, k, data, i)
+            scores[:, column] += (tangents - tangents.mean(axis=0)) @ response * point.fit.scales[column]

@@ -95,6 +95,12 @@ def with_second_order(
     return out
 
 
+def block_tangents(placed: LocatedLaw, k: int, data: MotionRecord, i: int) -> Array:
+    """(blocks, 2) mean tangents of each block to x and v of place i, per unit of parameter k of a memoryless law."""
+    tangents = np.asarray(_summed(w * tangent_series(placed, data, i, p) for p, w in _ends(placed, k, data)))
+    return np.asarray(tangents.reshape(2, data.blocks, -1).mean(axis=2, dtype=np.float64).T)
+
+
 def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
     """The function `found` with a cache by place and parameters."""
     known: dict[tuple[int, bytes], T] = {}
