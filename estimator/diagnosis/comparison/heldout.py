@@ -57,13 +57,22 @@ def _known(model: Model) -> Model:
 
 
 def heldout_gain_nats(before: WorkingPoint, after: WorkingPoint) -> float:
-    """Held-out nats that the fit `after` gains over the fit `before` of the same record, on the bins of `after`.
+    """Held-out nats that the fit `after` gains over the fit `before` of the same record, on the bins of `after`."""
+    return (heldout_nll(judged_like(before, after)) - heldout_nll(after)) * after.data.blocks * after.data.block
 
-    A law of the shaft leaves bins out. The model of `before` is then fitted to the remaining bins as well.
+
+def judged_like(point: WorkingPoint, other: WorkingPoint) -> WorkingPoint:
+    """The model of `point` fitted to the same share of the same bins as `other`.
+
+    A law of the shaft leaves bins out, and a model may leave noise at an edge of the band. The record of `other` with
+    the same bins may have a sensor fault undone, so it is not taken.
     """
-    if not after.data.is_judged_like(before.data):
-        before = fit_model(after.data, list(before.placed), start=before)
-    return (heldout_nll(before) - heldout_nll(after)) * after.data.blocks * after.data.block
+    if other.data.is_judged_like(point.data):
+        return point
+    data = replace(point.data, leaking_edges_hz=other.data.leaking_edges_hz)
+    if not data.is_judged_like(other.data):
+        data = other.data
+    return fit_model(data, list(point.placed), start=point)
 
 
 def heldout_nll(point: WorkingPoint) -> float:

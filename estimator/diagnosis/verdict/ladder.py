@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.heldout import heldout_gain_nats, heldout_nll, heldout_rmse
+from estimator.diagnosis.comparison.heldout import heldout_gain_nats, heldout_nll, heldout_rmse, judged_like
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry, Settings, ranked_entries
 from estimator.diagnosis.thresholds import THRESHOLDS
@@ -106,9 +106,9 @@ class Ladder:
         if new is None:
             return "cannot be distinguished from zero when fitted"
         point, last, shift = self.whole.point, self.rungs[-1], self._shift
-        alike = (data := new.point.data).is_judged_like(point.data)
+        alike = new.point.data.is_judged_like(point.data)
         if not alike:  # bins are left out beside a crack, and those of a line that the model lacks
-            shift = last.heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
+            shift = last.heldout_nll - heldout_nll(judged_like(point, new.point))
         now, survey = surveyed_rung(new.model, new.point, self._y)
         now = replace(now, heldout_nll=now.heldout_nll + shift)
         if now.missing[0] > max(last.missing[2], last.missing[0]):

@@ -92,7 +92,8 @@ def _start_values(
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
         data = data.with_mass(start.data.mass) if data.free_inertia else data
-        edges_hz, outside = start.data.leaking_edges_hz, start.data.out_of_band_sd
+        marked = (d.leaking_edges_hz for d in (data, start.data) if d.leaking_edges_hz)
+        edges_hz, outside = tuple(map(max, zip(*marked, strict=True))), start.data.out_of_band_sd
         data = _denoised(replace(data, out_of_band_sd=outside, leaking_edges_hz=edges_hz), nu, start.S)
     known = {u.key for u in start.placed}
     if new := sorted({i for u in uses if u.key not in known for i in u.at}):  # a strong law takes over much of kL and c

@@ -87,8 +87,6 @@ def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np
 def test_a_line_that_the_speed_carries_along_is_reported_by_a_fit(rig: Model) -> None:
     """An imbalance that the model lacks, 200 to 213 Hz in 4 s."""
     ramp = ShaftSpeed(12000.0, ramp_rpm_per_s=200.0)
-    y = simulate(
-        with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 4.0, seed=3, speed=ramp
-    )
+    y = simulate(with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 4.0, seed=3, speed=ramp)
     found = spectral.fit_spectral(rig, y, RATE)
     assert "force_not_white" in [m.code for m in found.messages]
