@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_gain_nats, heldout_nll, heldout_rmse, judged_like
 from estimator.diagnosis.comparison.survey import BearingSurvey, survey_bearing
@@ -26,8 +28,9 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.background import Background
 from estimator.model.rig import Model
 
-# may lie out of the band or outside the likelihood, so the held-out likelihood does not judge them
-UNSCORED_EFFECTS = tuple(name for name, e in CATALOGUE.items() if not e.in_likelihood)
+# may lie out of the band, outside the likelihood or at bins that are left out: the held-out likelihood does not judge
+# them
+UNSCORED_EFFECTS = (*PERIODIC_EFFECTS, *(name for name, e in CATALOGUE.items() if not e.in_likelihood))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +109,7 @@ class Ladder:
         if new is None:
             return "cannot be distinguished from zero when fitted"
         point, last, shift = self.whole.point, self.rungs[-1], self._shift
-        alike = new.point.data.is_judged_like(point.data)
-        if not alike:  # bins are left out beside a crack, and those of a line that the model lacks
+        if not new.point.data.is_judged_like(point.data):  # bins are left out beside a crack, and at unknown lines
             shift = last.heldout_nll - heldout_nll(judged_like(point, new.point))
         now, survey = surveyed_rung(new.model, new.point, self._y)
         now = replace(now, heldout_nll=now.heldout_nll + shift)
@@ -115,14 +117,21 @@ class Ladder:
             return "raises the missing force"
         if best.effect not in UNSCORED_EFFECTS and now.heldout_nll >= last.heldout_nll:
             return "does not improve the held-out likelihood"
-        gain_nats = (last.heldout_nll - now.heldout_nll) * point.data.blocks * point.data.block
-        idle = alike and now.missing[0] >= last.missing[0] and not gain_nats > THRESHOLDS.min_gain_nats
-        if best.effect in PERIODIC_EFFECTS and idle:
-            return "does not reduce the missing force"
+        self.rungs[-1] = self._with_force_of(best.effect)
         self.whole, self._shift, self.survey = new, shift, survey
         self.rungs.append(now)
         self._added += dict.fromkeys(law.effect.name for law in best.placed) or [best.effect]
         return ""
+
+    def _with_force_of(self, effect: str) -> Rung:
+        """The last rung with a periodic force in the missing force, from which the fit leaves its lines out."""
+        missing, last = self.survey.missing, self.rungs[-1]
+        if effect not in PERIODIC_EFFECTS:
+            return last
+        power = sum(p for f in self.survey.findings if f.effect == effect for p in f.power_N2.values())
+        percent = 100.0 * float(np.sqrt(power / np.sum(missing.bearing_force_N**2)))
+        value, low, high = (min(float(np.hypot(limit, percent)), 100.0) for limit in last.missing)
+        return replace(last, missing=(value, low, high))
 
     def prune(self) -> list[str]:
         """The laws added before the last one without which the model predicts as well; they are taken back."""

@@ -44,7 +44,7 @@ from .disturbance_numbers import (
     with_resolved_parameters,
 )
 from .grid_start import fit_record
-from .line_motion import line_motion_messages, with_judged_lines
+from .line_motion import line_messages, with_judged_lines
 from .thresholds import LIMITS
 from .unmeasured_end import unmeasured_end_messages
 
@@ -130,7 +130,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *upper_edge.upper_edge_messages(full.model, full.point),
         *excitation_level.uneven_message(data.level),
         *_background_messages(full.model),
-        *line_motion_messages(data),
+        *line_messages(full.model, data),
         *unmeasured_end_messages(full.model, dict(zip(data.places, full.point.kL.tolist(), strict=True))),
         *_hysteresis_messages(full.point),
         *_periodic_messages(full.model, full.point),

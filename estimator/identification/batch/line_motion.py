@@ -1,4 +1,4 @@
-"""Whether the bearings deflect at the narrow lines of a record.
+"""The narrow lines of a record: which are left out of a fit, and whether the bearings deflect at them.
 
 A law acts on the deflection of its bearing. A periodic force deflects a bearing. Hum of a sensor does not, nor does
 motion of the whole machine, and both are large in a displacement at a low frequency. The line itself does not show
@@ -48,13 +48,29 @@ def with_judged_lines(model: Model, point: WorkingPoint) -> tuple[Model, Working
     return replace(model, deflects_at_lines=False), fit_model(without_lines(data), uses, start=point)
 
 
-def line_motion_messages(data: MotionRecord) -> tuple[Message, ...]:
-    """The remark that the bearings do not deflect at the lines of a record; none where they do."""
-    if data.deflects_at_lines:
-        return ()
-    hz = ", ".join(f"{line.centre_hz:.4g}" for line in data.lines[: LIMITS.max_lines_named])
-    text = f"the bearings do not deflect at the lines of {hz} Hz (hum of a sensor, or the whole machine moves)"
-    return (Message("lines_without_deflection", f"{text}: laws predict the force better without these lines"),)
+def line_messages(model: Model, data: MotionRecord) -> tuple[Message, ...]:
+    """Remarks on the lines in the band that a fit leaves out, and on lines at which the bearings do not deflect."""
+    out = []
+    low, high = data.band
+    if inside := tuple(hz for line in data.lines if low < (hz := line.centre_hz) < high):
+        text = f"spectral lines left out of the fit: {lines_in_words(inside, model.speed_rpm)}"
+        out.append(Message("lines_left_out", f"{text}; their force is not in the missing force"))
+    if not data.deflects_at_lines:
+        listed = ", ".join(f"{line.centre_hz:.4g}" for line in data.lines[: LIMITS.max_lines_named])
+        text = f"the bearings do not deflect at the lines of {listed} Hz (hum of a sensor, or the whole machine moves)"
+        out.append(Message("lines_without_deflection", f"{text}: laws predict the force better without these lines"))
+    return tuple(out)
+
+
+def lines_in_words(lines_hz: tuple[float, ...], speed_rpm: float | None) -> str:
+    """Frequencies of lines in words, the first `max_lines_named` of them, with the shaft order where there is one."""
+    words = []
+    for hz in lines_hz[: LIMITS.max_lines_named]:
+        shaft = (speed_rpm or 0.0) / 60.0
+        order = round(hz / shaft) if shaft else 0
+        words.append(f"{hz:.0f} Hz ({order}X)" if order and abs(hz - order * shaft) < 0.01 * hz else f"{hz:.0f} Hz")
+    more = f" and {len(lines_hz) - LIMITS.max_lines_named} more" if len(lines_hz) > LIMITS.max_lines_named else ""
+    return ", ".join(words) + more
 
 
 def predicted_nats(model: Model, point: WorkingPoint) -> float:

@@ -70,15 +70,11 @@ def _given_masses(model: Model) -> dict[str, Parameter]:
 
 
 def _fit_messages(found: FullFit) -> tuple[Message, ...]:
-    """Messages on the fit itself: no convergence, lines left out, a residual force that is not white."""
+    """Messages on the fit itself: no convergence, a residual force that is not white."""
     point = found.point
     out = []
     if last_step_sd(point) > LIMITS.max_last_step_sd:
         out.append(Message("not_converged", "the fit did not converge, so all values are provisional: record longer"))
-    low, high = point.data.band
-    if inside := tuple(hz for line in point.data.lines if low < (hz := line.centre_hz) < high):
-        words = lines_in_words(inside, found.model.speed_rpm)
-        out.append(Message("lines_left_out", f"spectral lines left out of the fit: {words}"))
     if (strong := strong_law_message(point)) is not None:
         out.append(strong)
     return (*out, *(m for i in range(len(point.data.places)) for m in _not_white(point, i)))
@@ -109,14 +105,3 @@ def _not_white(point: WorkingPoint, i: int) -> tuple[Message, ...]:
         "model lacks something there, and rotorscope compare shows where"
     )
     return (Message("force_not_white", text, place),)
-
-
-def lines_in_words(lines_hz: tuple[float, ...], speed_rpm: float | None) -> str:
-    """Frequencies of lines in words, the first `max_lines_named` of them, with the shaft order where there is one."""
-    words = []
-    for hz in lines_hz[: LIMITS.max_lines_named]:
-        shaft = (speed_rpm or 0.0) / 60.0
-        order = round(hz / shaft) if shaft else 0
-        words.append(f"{hz:.0f} Hz ({order}X)" if order and abs(hz - order * shaft) < 0.01 * hz else f"{hz:.0f} Hz")
-    more = f" and {len(lines_hz) - LIMITS.max_lines_named} more" if len(lines_hz) > LIMITS.max_lines_named else ""
-    return ", ".join(words) + more

@@ -337,7 +337,7 @@ def test_masses_that_are_left_out_are_found_again_with_what_was_missing() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "clearance"), ("cubic", "quintic")])
+@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "cubic"), ("cubic", "quintic")])
 def test_two_laws_of_one_state_are_added_together(pair: tuple[str, str]) -> None:
     """No law alone has the shape of both."""
     rig = replace(one_bearing(), effects=())
