@@ -110,7 +110,10 @@ class Loop:
         for future, row in zip(whole, self._gathered(whole), strict=True):  # in one question: each takes its time
             self._keep(row, ended.pop(future))
         for future, task in ended.items():
-            self._keep(self._lost(task, future), task)
+            if future.status == "lost":  # with the worker that held it, which another task had to end
+                self._todo.append(task)
+            else:
+                self._keep(self._lost(task, future), task)
         self._report_progress()
 
     def _gathered(self, futures: list[Any]) -> list[dict[str, Any]]:
@@ -123,7 +126,7 @@ class Loop:
 
     def _lost(self, task: Task, future: Any) -> dict[str, Any]:
         """The row of a task that has no result. Raises LinkError if the scheduler is gone."""
-        if future.status in ("cancelled", "lost"):
+        if future.status == "cancelled":
             raise self._gone()
         from distributed.scheduler import KilledWorker
 
