@@ -212,12 +212,15 @@ class LineBand:
         Power of the line over the power spectral density of the noise about it, Hz.
     has_cause : bool
         Whether the line is a harmonic of the shaft or of the mains.
+    swept : bool
+        Whether the line moves through the band as an order of a speed that changes.
     """
 
     low_hz: float
     high_hz: float
     power_over_psd_hz: float
     has_cause: bool = False
+    swept: bool = False
 
     @property
     def centre_hz(self) -> float:

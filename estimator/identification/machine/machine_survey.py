@@ -9,6 +9,8 @@ from typing import Any, Literal
 from estimator.model.rig import LineBand
 from estimator.results import Message
 
+from .thresholds import LIMITS
+
 SpeedSource = Literal["tacho", "record", "rig file"]
 ToneKind = Literal["order", "mains", "other"]
 StrikeName = Literal["BPFO", "BPFI", "BSF", "FTF", "other"]
@@ -28,17 +30,25 @@ class ShaftSpeed:
         "record": from the harmonics of the shaft in the spectra of the channels.
     wander_rel : float
         Standard deviation of the speed along the record over its mean.
+    range_rel : (float, float)
+        Least and largest speed along the record over the mean, by a tacho; (1, 1) where it is not followed.
     """
 
     value_rpm: float
     sd_rpm: float
     source: SpeedSource
     wander_rel: float = 0.0
+    range_rel: tuple[float, float] = (1.0, 1.0)
 
     @property
     def hz(self) -> float:
         """Turns per second."""
         return self.value_rpm / 60.0
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether the speed changes so much that an order is no line of the spectrum."""
+        return self.range_rel[1] - self.range_rel[0] > LIMITS.min_sweep_rel
 
     @property
     def sd_hz(self) -> float:

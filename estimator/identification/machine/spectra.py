@@ -96,6 +96,20 @@ def channel_spectra(y: Array, rate_hz: float, columns: Mapping[str, int]) -> dic
     return {name: levels for name, levels in zip(columns, found, strict=True) if levels}
 
 
+def order_spectra(y: Array, rate_hz: float, columns: Mapping[str, int], angle: Array) -> dict[str, list[LevelSpectrum]]:
+    """Channel -> its spectra over equal steps of the shaft angle, in Hz at the mean speed.
+
+    angle : (n,) rad along the record. The steps are straight between samples: right for orders far below half the rate.
+    """
+    rows = np.arange(angle.size)
+    at = np.interp(np.linspace(angle[0], angle[-1], angle.size), angle, rows)
+
+    def turned(i: int) -> list[LevelSpectrum]:
+        return level_spectra(Pieces(np.interp(at, rows, y[:, i]).astype(np.float32), rate_hz))
+
+    return {name: levels for name, i in columns.items() if (levels := turned(i))}
+
+
 class _LevelSum:
     """Sums over the pieces of a channel at one resolution.
 

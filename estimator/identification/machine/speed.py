@@ -34,9 +34,11 @@ def shaft_speed(
     model: Model, y: Array, rate_hz: float, spectra: Mapping[str, Sequence[LevelSpectrum]]
 ) -> tuple[ShaftSpeed | None, list[Message]]:
     """Speed of the shaft and remarks on it. spectra : channel -> its spectra, finest first."""
-    measured = _tacho_speed(model, y, rate_hz)
+    measured = tacho_speed(model, y, rate_hz)
     if measured is not None:
-        return measured, []
+        low, high = (measured.value_rpm * end for end in measured.range_rel)
+        text = f"the speed changes from {low:.0f} to {high:.0f} rpm: tones are followed by shaft order"
+        return measured, [Message("speed_followed", text)] if measured.is_swept else []
     if not model.speed_rpm:
         found = _comb(spectra, LIMITS.min_free_hz, LIMITS.max_free_hz)
         if found is None:
@@ -106,17 +108,21 @@ def rate_remarks(
     return [*remarks, Message(RATE_UNCONFIRMED, text)]
 
 
-def _tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
+def tacho_speed(model: Model, y: Array, rate_hz: float) -> ShaftSpeed | None:
     """Mean speed by the tacho, with the standard deviation of the speed along the record; None without pulses."""
     phase = tacho_angle(model, y, rate_hz)
     if phase is None:
         return None
-    rows = max(1, min(int(rate_hz), (phase.size - 1) // 4))
-    local = np.diff(phase[::rows]) * rate_hz / rows / (2 * np.pi)
+    seconds = max(4, int((phase.size - 1) / rate_hz))  # pieces of at least a second, of a short record four
+    rows = np.linspace(0, phase.size - 1, min(seconds, phase.size - 1) + 1).astype(int)
+    local = np.diff(phase[rows]) / np.diff(rows) * rate_hz / (2 * np.pi)
     hz = float(phase[-1] - phase[0]) / (2 * np.pi) * rate_hz / (phase.size - 1)
     sd = LIMITS.tacho_sd_turns * rate_hz / phase.size
-    wander = float(local.std()) / hz
-    return ShaftSpeed(value_rpm=60 * hz, sd_rpm=60 * sd, source="tacho", wander_rel=wander)
+    beyond = 0.5 * float(np.abs(np.diff(local)).max(initial=0.0))  # from the middle of the first and last second
+    return ShaftSpeed(
+        value_rpm=60 * hz, sd_rpm=60 * sd, source="tacho", wander_rel=float(local.std()) / hz,
+        range_rel=(float(local.min() - beyond) / hz, float(local.max() + beyond) / hz),
+    )  # fmt: skip
 
 
 def _comb(

@@ -7,12 +7,13 @@ from estimator.identification.record import RecordSurvey, moments
 from estimator.model.rig import Model
 from estimator.results import Message
 
+from .line_bands import record_lines
 from .machine_survey import MachineSurvey, Tone
 from .spectra import channel_spectra
 from .speed import SPEED_SUGGESTED, rate_remarks, shaft_speed
 from .strikes import find_strikes
 from .thresholds import LIMITS
-from .tones import lines_to_leave_out, significant_lines, tones_of, without_strike_lines
+from .tones import lines_to_leave_out, tones_of, without_strike_lines
 
 
 def survey_machine(
@@ -61,7 +62,7 @@ def survey_machine(
     strikes, struck = find_strikes(model, y, rate_hz, searched, speed, bank)
     if speed is None and strikes:  # their comb is not that of the shaft
         remarks = [remark for remark in remarks if remark.code != SPEED_SUGGESTED]
-    lines = significant_lines(spectra)
+    lines = record_lines(model, y, rate_hz, spectra, speed)
     if speed is not None:
         remarks = rate_remarks(lines, speed, model.speed_rpm, remarks)
     rms = {name: moments(y[:, columns[name]]).sd for name in {line.channel for line in lines}}

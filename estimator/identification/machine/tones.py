@@ -24,7 +24,7 @@ class Line:
     hz : Hz. half_width_hz : to either side, within which it is not resolved. amplitude : peak, in the channel's unit.
     log_p : of the record, everything searched paid for. power_ratio : over the noise. narrow : whether it is no
     resonance, because no structure is damped as little or because its power is steady. has_cause : whether it is known
-    to be a harmonic of shaft or mains.
+    to be a harmonic of shaft or mains. range_rel : of an order, the least and largest speed over the mean.
     """
 
     channel: str
@@ -35,14 +35,20 @@ class Line:
     power_ratio: float
     narrow: bool
     has_cause: bool = False
+    range_rel: tuple[float, float] = (1.0, 1.0)
 
     @property
     def band(self) -> LineBand:
         """The band that holds the line, skirts of one that wanders included."""
         reach = LIMITS.reach_half_widths * self.half_width_hz
         power = self.power_ratio * LIMITS.hann_bin_correlation * self.half_width_hz
+        low_hz, high_hz = (self.hz * end for end in self.range_rel)
         return LineBand(
-            low_hz=self.hz - reach, high_hz=self.hz + reach, power_over_psd_hz=power, has_cause=self.has_cause
+            low_hz=low_hz - reach,
+            high_hz=high_hz + reach,
+            power_over_psd_hz=power,
+            has_cause=self.has_cause,
+            swept=high_hz > low_hz,
         )
 
 
@@ -88,6 +94,7 @@ def joined_bands(bands: Iterable[LineBand]) -> list[LineBand]:
                 high_hz=max(band.high_hz, last.high_hz),
                 power_over_psd_hz=max(band.power_over_psd_hz, last.power_over_psd_hz),
                 has_cause=band.has_cause and last.has_cause,
+                swept=band.swept or last.swept,
             )
         out.append(band)
     return out
