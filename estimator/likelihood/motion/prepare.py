@@ -146,9 +146,14 @@ def _refuse_only_lines(model: Model, fitted_hz: float) -> None:
     """Raise DataError where narrow lines fill most of the band. fitted_hz : width of what they leave, Hz."""
     low, high = model.band
     if model.line_bands and fitted_hz < LIMITS.min_fitted_share * (high - low):
+        swept = any(band.swept for band in model.line_bands)
+        lines, cure = (
+            ("orders of a changing speed", "take a part at constant speed (--from, --to)") if swept
+            else ("narrow lines", "widen the band")
+        )  # fmt: skip
         raise DataError(
-            f"narrow lines fill {1 - fitted_hz / (high - low):.0%} of the band {low:.0f}-{high:.0f} Hz: the "
-            "bearings are judged by random vibration between the lines; widen the band"
+            f"{lines} fill {1 - fitted_hz / (high - low):.0%} of the band {low:.0f}-{high:.0f} Hz: the bearings are "
+            f"judged by random vibration between the lines; {cure}"
         )
 
 

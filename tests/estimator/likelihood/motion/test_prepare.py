@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.errors import DataError
 from estimator.identification.batch import spectral
-from estimator.model.rig import Channel, Model
+from estimator.likelihood.motion.prepare import prepare
+from estimator.model.rig import Channel, LineBand, Model
 
 MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", "y")), band=(100.0, 1000.0))
 
@@ -29,3 +32,12 @@ def test_a_channel_that_is_no_motion(make: object, said: str) -> None:
     for ask in (compare, spectral.fit_spectral):
         with pytest.raises(DataError, match=said):
             ask(MODEL, y, 5000.0)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("swept", "said"), [(False, "narrow lines .*widen"), (True, "orders .*constant speed")])
+def test_a_band_that_lines_fill_is_refused_with_what_to_do(swept: bool, said: str) -> None:
+    y = np.random.default_rng(1).standard_normal((100_000, 2))
+    line = LineBand(low_hz=110.0, high_hz=990.0, power_over_psd_hz=1e3, swept=swept)
+    model = replace(MODEL, mass={"bearing1": 1.0}, line_bands=(line,))
+    with pytest.raises(DataError, match=said):
+        prepare(model, y, 5000.0)
