@@ -69,8 +69,8 @@ class Thresholds:
     hann_line_variance_bins: float = 1.0 / 3.0  # of a steady line under a Hann window, bins^2
     grid_step_bins: float = 0.2  # of the highest harmonic from one trial speed to the next
 
-    # of the mean, by which a followed speed changes: beyond it a coarse resolution shows no line of an order
-    min_sweep_rel: float = 0.05
+    # of the mean, by which a followed speed changes: twice the half width of a harmonic at a steady speed
+    min_sweep_rel: float = 0.02
 
     # strikes
     max_slip_rel: float = 0.02  # of a kinematic order: slip of balls and the contact angle under load
