@@ -25,10 +25,13 @@ def summary(comparison: Json | None, diagnoses: Sequence[Json], ladder: Sequence
     if len(ladder) > 1:
         first, last = ladder[0]["missing_force_percent"]["value"], ladder[-1]["missing_force_percent"]["value"]
         added = [e for e in ladder[-1]["effects"] if e not in ladder[0]["effects"]]
-        said.append(
-            f"Adding {listed(added)} to the model brings the missing force down from {percent(first)} to "
-            f"{percent(last)} of the bearing force, on data that no model was fitted to."
-        )
+        if percent(first) == percent(last):
+            said.append(f"Adding {listed(added)} explains tones, which the fit leaves out.")
+        else:
+            said.append(
+                f"Adding {listed(added)} to the model brings the missing force down from {percent(first)} to "
+                f"{percent(last)} of the bearing force, on data that no model was fitted to."
+            )
     elif len(ladder) == 1:
         said.append("Nothing was added: the model stays as it is.")
     if comparison is not None:

@@ -15,7 +15,7 @@ from made_up_results import compared, diagnosed, made_up
 from daq.base.contract.errors import LogError
 from daq.report.numbers import interval, number, odds, parameter, percent, prefix, unit_text
 from daq.report.page import render, write_report
-from daq.report.words import about_diagnosis
+from daq.report.words import about_diagnosis, summary
 
 
 @functools.cache
@@ -100,6 +100,13 @@ def test_a_model_that_is_adequate_does_not_fail_by_the_heading() -> None:
     adequate = render("t", comparison=compared(0.6, 1.0))
     assert "Where the model fails" not in adequate
     assert "What the model leaves over" in adequate
+
+
+def test_an_effect_at_lines_that_the_fit_leaves_out_is_not_said_to_bring_nothing_down() -> None:
+    steps = [{"effects": [*more], "missing_force_percent": {"value": 0.0}} for more in ([], ["imbalance"])]
+    assert summary(None, [], steps) == ["Adding imbalance explains tones, which the fit leaves out."]
+    steps[0]["missing_force_percent"] = {"value": 6.0}
+    assert "from 6 % to 0 %" in summary(None, [], steps)[0]
 
 
 def test_names_are_text_not_markup() -> None:
