@@ -106,7 +106,7 @@ def test_an_effect_at_lines_that_the_fit_leaves_out_is_not_said_to_bring_nothing
     steps = [{"effects": [*more], "missing_force_percent": {"value": 0.0}} for more in ([], ["imbalance"])]
     assert summary(None, [], steps) == ["Adding imbalance explains tones, which the fit leaves out."]
     steps[0]["missing_force_percent"] = {"value": 6.0}
-    assert "from 6 % to 0 %" in summary(None, [], steps)[0]
+    assert "from 6.0 % to 0 %" in summary(None, [], steps)[0]
 
 
 def test_names_are_text_not_markup() -> None:
