@@ -15,10 +15,8 @@ from .motion import Law, Rotor, motion
 
 Array = NDArray[np.float64]
 RATE_HZ = 25600.0
-# Filters of the recorder, before it keeps one step of several.
-# What a recorder aliases into the band is not repaired, so a slow filter is none of them: the product says so.
-RECORDERS = ("linear phase", "linear phase", "linear phase", "butterworth", "linear phase", "linear phase")
-BUTTERWORTH_ORDER, BUTTERWORTH_CUTOFF_REL = 8, 0.42  # cutoff over rate; the rig file gives the filter
+# Of the recorder, before it keeps one step of several: name -> second-order sections, or taps of a linear phase.
+RECORDERS = ("linear phase", "linear phase", "linear phase", "butterworth", "bessel", "mean")
 ORDER = 2.1  # ball passes a turn
 DOFS = ("bearing1.x", "bearing2.x", "disc.x", "bearing1.y", "bearing2.y", "disc.y")
 SHAFTS = {
@@ -105,24 +103,18 @@ def rig_file(rig: dict[str, Any], base: list[str]) -> str:
     if rig["forced"]:
         channels += channels.replace('name = "b', 'name = "f').replace(sensor, 'kind = "force"\nunit = "N"\n')
     name = f'schema = 1\n[rig]\nname = "foreign"\nshaft = "{rig["shaft"]}"\n'
-    acquisition = ""
-    if rig["recorder"] == "butterworth":
-        cutoff_hz = BUTTERWORTH_CUTOFF_REL * rig["rate"]
-        filtered = f'{{ kind = "butterworth", order = {BUTTERWORTH_ORDER}, cutoff_hz = {cutoff_hz!r} }}'
-        acquisition = f"[acquisition]\nrate_hz = {rig['rate']!r}\nanti_alias = {filtered}\n"
     turns = f"speed_rpm = {rig['rpm']!r}\nball_pass_order = {ORDER}\n" if rig["known"] else ""
     if rig["shaft"] == "none":
         masses = "".join(f"bearing{n} = {rig['m'][n - 1]!r}\n" for n in sorted({int(c[1]) for c in rig["channels"]}))
         return (
             f"{name}{turns}[rig.mass]\n{masses}[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n"
-            f"[model]\neffects = {base}\n{acquisition}{channels}"
+            f"[model]\neffects = {base}\n{channels}"
         )
     return (
         f"{name}{turns}"
         f"[rig.mass]\ndisc = {rig['disc']!r}\nbearing1 = {rig['m'][0]!r}\nbearing2 = {rig['m'][1]!r}\n"
         f"[rig.shaft_spring]\nstiffness = {rig['ks']!r}\ndamping = {rig['cs']!r}\n"
-        f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n"
-        f"{acquisition}{channels}"
+        f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n{channels}"
     )
 
 
@@ -354,8 +346,11 @@ def _discrete(w: float, quality: float, rate: float) -> tuple[Array, Array]:
 
 def _filtered(y: Array, recorder: str, keep: int) -> Array:
     """Before one of `keep` steps is kept."""
+    if recorder == "mean":
+        return np.asarray(signal.lfilter(np.full(keep, 1.0 / keep), [1.0], y))
     if recorder == "butterworth":
-        filtered = signal.butter(BUTTERWORTH_ORDER, BUTTERWORTH_CUTOFF_REL * 2 / keep, output="sos")
-        return np.asarray(signal.sosfilt(filtered, y))
+        return np.asarray(signal.sosfilt(signal.butter(8, 0.42 * 2 / keep, output="sos"), y))
+    if recorder == "bessel":
+        return np.asarray(signal.sosfilt(signal.bessel(6, 0.45 * 2 / keep, norm="mag", output="sos"), y))
     taps = signal.firwin(60 * keep + 1, 0.45 * 2 / keep, window=("kaiser", 9.0))
     return np.asarray(signal.oaconvolve(y, taps, mode="same"))

@@ -8,13 +8,20 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from daq.rig.rig import load_rig
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.law_loop import force_array
 
 from .clean import run
 from .hidden import FORMS, PARAMETERS
 from .motion import LAWS, Law, Rotor, motion, push
-from .record import Case
+from .record import Case, made, rig_file
+
+# What the product answers wrongly or not at all today. A test of these that passes fails the suite.
+UNKNOWN_FILTER = pytest.mark.xfail(strict=True, reason="what an unknown slow filter aliases is not repaired")
+END_UNMEASURED = pytest.mark.xfail(strict=True, reason="a pedestal is added beside the end whose sensor clips")
+THIRD_IS_LEFT = pytest.mark.xfail(strict=True, reason="dry friction leaves 34 % of smooth friction: unknown")
 
 KNOWN = [name for name in LAWS if name in CATALOGUE and name not in FORMS and CATALOGUE[name].kind == "force"]
 NUMBERS = {
@@ -72,15 +79,17 @@ def test_a_cubic_has_the_density_of_boltzmann() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "case",
     [
-        Case({"clearance": "bearing1"}, "strong", 1, 20.0),
-        Case({"quadratic": "bearing1"}, "strong", 0, 30.0),  # on a shaft stiffer than the bearing
-        Case({"bouc_wen": "bearing1"}, "strong", 1, 30.0),  # the disc rings long
-        Case({"crack": "bearing1"}, "strong", 101, 20.0),
-        Case({"crack": "bearing1"}, "strong", 93, 20.0, varied=True),
+        pytest.param(Case({"clearance": "bearing1"}, "strong", 1, 20.0), marks=UNKNOWN_FILTER),
+        # on a shaft stiffer than the bearing; undressed by it 65 % of what the law explains was left: "unknown"
+        Case({"quadratic": "bearing1"}, "strong", 0, 30.0),
+        # the disc rings long: too few impulses gave the response of the hysteresis, and the verdict was "unknown"
+        Case({"bouc_wen": "bearing1"}, "strong", 1, 30.0),
+        # neither cap of the direction can be judged: their sensors' gains were called unlike, and a division by nothing
+        # ended the next step
+        pytest.param(Case({"sensor_clipping": "bearing1"}, "weak", 0, 20.0), marks=END_UNMEASURED),
         Case({}, "-", 2, 20.0),
     ],
     ids=lambda case: case.key,
@@ -94,25 +103,40 @@ def test_what_was_hidden_is_found(case: Case, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_half_sine_strikes_are_a_local_defect(tmp_path: Path) -> None:
-    found = run(Case({"half_sine_strikes": "bearing1"}, "strong", 3, 30.0), tmp_path)
-    assert found["added"][:1] == [FORMS["half_sine_strikes"]]
+@pytest.mark.parametrize("name", [pytest.param("smooth_friction", marks=THIRD_IS_LEFT), "half_sine_strikes"])
+def test_another_form_of_a_law_goes_by_its_name(name: str, tmp_path: Path) -> None:
+    """Friction whose step takes a tenth to a third of the rms velocity was "unknown", with all of it left."""
+    found = run(Case({name: "bearing1"}, "strong", 3, 30.0), tmp_path)
+    assert found["added"][:1] == [FORMS[name]]
     assert found["percent"][1] < 0.4 * found["percent"][0]
 
 
 @pytest.mark.slow
-def test_smooth_friction_is_named_with_its_nearest_law(tmp_path: Path) -> None:
-    """Its step takes a tenth to a third of the rms velocity: dry friction leaves a third of it."""
-    found = run(Case({"smooth_friction": "bearing1"}, "strong", 3, 30.0), tmp_path)
-    assert found["verdict"] == "unknown"
-    assert found["messages"][-1].startswith(f"{FORMS['smooth_friction']} fits best but leaves 3")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "verdicts"), [("hertz", ("complete", "unknown")), ("line", ("complete",))])
-def test_what_was_hidden_is_found_in_one_direction(name: str, verdicts: tuple[str, ...], tmp_path: Path) -> None:
-    """Of a Hertz contact the motion across is not known: the fit has two maxima, and rounding decides between them."""
+@pytest.mark.parametrize("name", [pytest.param("hertz", marks=UNKNOWN_FILTER), "line"])
+def test_what_was_hidden_is_found_in_one_direction(name: str, tmp_path: Path) -> None:
+    """Hertz contact was on trial where both directions are measured only, and "unknown"; beside a line, where no speed
+    is known, a crack was added that does not turn. Of contact the motion across is not known: its numbers are near."""
     found = run(Case({name: "bearing1"}, "strong", 1, 30.0, varied=True), tmp_path)
-    assert found["added"] == [name]
-    assert found["verdict"] in verdicts
-    assert found["percent"][-1] < 0.3 * found["percent"][0]
+    assert (found["added"], found["verdict"]) == ([name], "complete")
+    assert found["percent"][-1] < 0.3
+
+
+@UNKNOWN_FILTER
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "case", [Case({"crack": "bearing1"}, "strong", seed, 20.0, varied=seed == 93) for seed in (101, 93)],
+    ids=lambda case: case.key,
+)  # fmt: skip
+def test_a_crack_behind_a_filter_that_folds_is_found_and_measured(case: Case, tmp_path: Path) -> None:
+    """Aliased noise near the disc resonance was read as motion and biased the likelihood there: the wave that turns was
+    264 of 450 and 923 of 1389 kN/m. The recorder's delay turns it by some degrees."""
+    bench, base, y = made(case)
+    assert bench.rig["recorder"] == "bessel"
+    (tmp_path / "rig.toml").write_text(rig_file(bench.rig, base))
+    ladder = improve(load_rig(tmp_path / "rig.toml").model, y, bench.rig["rate"])
+    assert ladder.last.verdict == "complete"
+    assert [r.effects for r in ladder.rungs] == [tuple(base), (*base, "crack")]
+    assert ladder.rungs[1].missing[0] < 0.3
+    found, true = ([of[f"disc.crack.{k}"] for k in ("loss_cos", "loss_sin")] for of in (ladder.parameters, bench.truth))
+    assert np.hypot(*(p.value for p in found)) == pytest.approx(np.hypot(*true), rel=0.1)

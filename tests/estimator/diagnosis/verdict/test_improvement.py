@@ -29,6 +29,7 @@ from estimator.results import NOT_CONCLUSIVE, Parameter
 from estimator.simulation.simulator import simulate
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached
+STOP_FITS_BOTH = pytest.mark.xfail(strict=True, reason="a stop alone leaves 19.7 %: no pair is tried, then unknown")
 
 
 @pytest.fixture(scope="module")
@@ -337,7 +338,15 @@ def test_masses_that_are_left_out_are_found_again_with_what_was_missing() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "cubic"), ("cubic", "quintic")])
+@pytest.mark.parametrize(
+    "pair",
+    [
+        ("clearance", "cubic"),
+        pytest.param(("quadratic", "clearance"), marks=STOP_FITS_BOTH),
+        ("quadratic", "cubic"),
+        ("cubic", "quintic"),
+    ],
+)
 def test_two_laws_of_one_state_are_added_together(pair: tuple[str, str]) -> None:
     """No law alone has the shape of both."""
     rig = replace(one_bearing(), effects=())
